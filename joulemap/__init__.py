@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from joulemap.model.robot import Robot
     from joulemap.model.terrain.heightmap import Heightmap
     from joulemap.model.terrain.readers import read_heightmap
-    from joulemap.planner.energy_map import EnergyMap
+    from joulemap.planner.areas.energy_map import EnergyMap
     from joulemap.service.client import Client
     from joulemap.service.library.calibrations import CalibrationResult, calibrate
     from joulemap.service.library.costmaps import CostMap, StoredCostMap, costmap, open_costmap
@@ -67,7 +67,7 @@ _HOMES = {
     "joulemap.model.robot": ("Robot",),
     "joulemap.model.terrain.heightmap": ("Heightmap",),
     "joulemap.model.terrain.readers": ("read_heightmap",),
-    "joulemap.planner.energy_map": ("EnergyMap",),
+    "joulemap.planner.areas.energy_map": ("EnergyMap",),
     "joulemap.service.client": ("Client",),
     "joulemap.service.library.calibrations": ("CalibrationResult", "calibrate"),
     "joulemap.service.library.costmaps": ("CostMap", "StoredCostMap", "costmap", "open_costmap"),

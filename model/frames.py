@@ -18,7 +18,7 @@ from joulemap.model.ranges import COORDINATE_M, RESOLUTION_M
 
 TAU = 2.0 * math.pi
 RIM_CELLS = 1e-6
-"""Places so far beyond the rim of a map [cells] are on it, as for the legs of `planner.kernels`: coordinates are
+"""Places so far beyond the rim of a map [cells] are on it, as for legs (`planner.pricing.kernels`): coordinates are
 rounded."""
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 
 from joulemap.model.frames import heading_bins, heading_vector
-from joulemap.planner.edges import price_terms
 from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.pricing.integrator import price_terms
 
 
 def figures_of(lattice: CostLattice) -> dict[str, Any]:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import BlockedError
 from joulemap.model.frames import heading_bins, heading_vector
-from joulemap.planner.edges import Points, leg_prices_between
+from joulemap.planner.grid.search import joining_legs
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.search import joining_legs
+from joulemap.planner.pricing.integrator import Points, leg_prices_between
 
 FURTHEST_CELLS = 1000
 """Half the side of the largest window in which a free place is looked for."""

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from joulemap.model.errors import BlockedError
 from joulemap.model.frames import wrap_angle
 from joulemap.model.terrain.heightmap import sample_bilinear
-from joulemap.planner.edges import leg_prices, path_headings, path_price, world_points
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.pricing.integrator import leg_prices, path_headings, path_price, world_points
 from joulemap.planner.words import duration_words, energy_words
 
 PROFILE_STEP_M = 1.0

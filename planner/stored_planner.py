@@ -20,18 +20,18 @@ from numpy.typing import ArrayLike
 from joulemap.model.errors import InputError
 from joulemap.planner.answers import Plan, RoundTrip
 from joulemap.planner.any_angle.best import ANY_ANGLE_NEIGHBOURS, best_path, improved, shorter_of, tightened
-from joulemap.planner.avoid import checked_polygons
-from joulemap.planner.bound import quick_bound
-from joulemap.planner.coarse import CoarseLevel, coarse_level
-from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.move_prices import MovePrices
-from joulemap.planner.moves import move_table
+from joulemap.planner.lattice.avoid import checked_polygons
+from joulemap.planner.lattice.stored_lattice import StoredLattice
+from joulemap.planner.on_disk.coarse import CoarseLevel, coarse_level
+from joulemap.planner.on_disk.strip import Strip
+from joulemap.planner.on_disk.tiled_search import DEFAULT_MEMORY, TiledSearch
 from joulemap.planner.places import end_point
+from joulemap.planner.pricing.integrator import Points, path_price
+from joulemap.planner.pricing.move_prices import MovePrices
+from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.questions.bound import quick_bound
 from joulemap.planner.route import Route, price_route
-from joulemap.planner.stored_lattice import StoredLattice
-from joulemap.planner.strip import Strip
-from joulemap.planner.tiled_search import DEFAULT_MEMORY, TiledSearch
 
 MARGIN_CELLS = 48
 """How far beside the grid's path the any-angle step may go."""

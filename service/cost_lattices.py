@@ -14,8 +14,8 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.figures import figures_of, joined_figures
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.lattice_build import DEFAULT_HEADINGS, build_lattice, knows_spread, write_lattice
-from joulemap.planner.tiles import Tiling
+from joulemap.planner.lattice.build import DEFAULT_HEADINGS, build_lattice, knows_spread, write_lattice
+from joulemap.planner.lattice.tiles import Tiling
 from joulemap.service.models import DEFAULT_MODEL, find_predictor, planning_robot
 
 

@@ -10,17 +10,17 @@ from numpy.typing import ArrayLike
 
 from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
-from joulemap.planner.budget import Verdict, judge_course
-from joulemap.planner.course import course_of
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Route
+from joulemap.planner.verdict.budget import Verdict, judge_course
+from joulemap.planner.verdict.trajectory import course_of
 from joulemap.service.coordinates import PlaceLike
 from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.places import Places
 from joulemap.service.route_uncertainty import odds_along
 
 if TYPE_CHECKING:  # a cost map is made without them, and they take their time to load
-    from joulemap.planner.plan import RoutePlanner
+    from joulemap.planner.route_planner import RoutePlanner
     from joulemap.planner.stored_planner import StoredPlanner
     from joulemap.service.objectives import Objective, Weighed
 
@@ -101,7 +101,7 @@ def assess(
     NoRouteError
         If no route joins start and goal.
     """
-    from joulemap.planner.plan import RoutePlanner
+    from joulemap.planner.route_planner import RoutePlanner
     from joulemap.planner.stored_planner import StoredPlanner
     from joulemap.service.objectives import MEAN, best_routes
 

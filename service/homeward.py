@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
-from joulemap.planner.course import course_of_pieces
-from joulemap.planner.edges import world_points
-from joulemap.planner.odds import class_of
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.point_of_no_return import Bail, WaysFrom, last_place
+from joulemap.planner.pricing.integrator import world_points
 from joulemap.planner.route import pieces_of, price_route
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
+from joulemap.planner.verdict.energy_distribution import class_of
+from joulemap.planner.verdict.point_of_no_return import Bail, WaysFrom, last_place
+from joulemap.planner.verdict.trajectory import course_of_pieces
 from joulemap.planner.words import energy_words, probability_words
 from joulemap.service.route_uncertainty import odds_of_energies
 

@@ -16,8 +16,8 @@ from matplotlib.transforms import Affine2D, offset_copy
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError
-from joulemap.planner.edges import interpolation_matrix
 from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.pricing.integrator import interpolation_matrix
 from joulemap.service.ground_drawing import blocked_everywhere, draw_blocked
 from joulemap.service.map_style import FAINT, INK, style_map
 from joulemap.service.raster_shading import Image, hillshade, thinned

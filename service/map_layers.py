@@ -14,7 +14,7 @@ from scipy import ndimage
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.stored_lattice import StoredLattice
+from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.service.ground_drawing import REASONS, blocked_everywhere, tinted_relief
 from joulemap.service.map_drawing import values_of_view
 from joulemap.service.raster_shading import Extent, Image, block_means, hillshade, thinned, thinning

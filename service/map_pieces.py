@@ -8,7 +8,7 @@ import numpy as np
 
 from joulemap.model.errors import NotFoundError
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.stored_lattice import StoredLattice
+from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.service.ground_drawing import tint_range, tinted_relief
 from joulemap.service.map_drawing import VIEWS
 from joulemap.service.map_layers import (

@@ -13,7 +13,7 @@ from pyproj import Transformer
 
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.stored_lattice import StoredLattice
+from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.service.raster_shading import Image, centres, thinned
 
 _CONTOUR_PIXELS, _CONTOURS, _SHORTEST_CONTOUR = 260, 14, 6

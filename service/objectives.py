@@ -10,17 +10,17 @@ from joulemap.model.battery import Battery
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import InputError
 from joulemap.planner.answers import Plan
-from joulemap.planner.budget import chance
-from joulemap.planner.course import course_of
-from joulemap.planner.edges import world_points
-from joulemap.planner.odds import EnergyOdds
-from joulemap.planner.plan import ANY_ANGLE_NEIGHBOURS, RoutePlanner
-from joulemap.planner.power_limit import within_power
-from joulemap.planner.risk import Aim, LeastQuantile, MostLikely, Outcome, Priced, least
+from joulemap.planner.grid.stopping import check_stop
+from joulemap.planner.objectives.power_limit import within_power
+from joulemap.planner.objectives.risk import Aim, LeastQuantile, MostLikely, Outcome, Priced, least
+from joulemap.planner.objectives.weighing import Weighing
+from joulemap.planner.pricing.integrator import world_points
 from joulemap.planner.route import Route
-from joulemap.planner.stopping import check_stop
+from joulemap.planner.route_planner import ANY_ANGLE_NEIGHBOURS, RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
-from joulemap.planner.weighing import Weighing
+from joulemap.planner.verdict.budget import chance
+from joulemap.planner.verdict.energy_distribution import EnergyOdds
+from joulemap.planner.verdict.trajectory import course_of
 from joulemap.service.route_uncertainty import odds_along
 
 MEAN, QUANTILE, ARRIVAL = OBJECTIVES = ("mean", "quantile", "arrival")

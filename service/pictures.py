@@ -16,9 +16,9 @@ from matplotlib.transforms import offset_copy
 
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner.energy_map import EnergyMap, FieldKind
+from joulemap.planner.areas.energy_map import EnergyMap, FieldKind
+from joulemap.planner.areas.reach_map import ReachMap
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.reach_map import ReachMap
 from joulemap.planner.route import Route
 from joulemap.service.ground_drawing import draw_ground, draw_lattice_ground
 from joulemap.service.map_drawing import VIEWS, draw_costmap

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from joulemap.model.frames import heading_bins
-from joulemap.planner.edges import energy_per_m_at
 from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.pricing.integrator import energy_per_m_at
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,11 +9,11 @@ import numpy as np
 
 from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
+from joulemap.planner.areas.reach import Need, peak_need
+from joulemap.planner.areas.reach_map import ReachMap
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.reach import Need, peak_need
-from joulemap.planner.reach_map import ReachMap
 from joulemap.planner.route import Route
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.service.route_uncertainty import odds_along
 

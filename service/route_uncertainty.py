@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.odds import QUANTILES, EnergyOdds
 from joulemap.planner.route import Route
+from joulemap.planner.verdict.energy_distribution import QUANTILES, EnergyOdds
 
 
 def odds_along(routes: Sequence[Route]) -> EnergyOdds | None:

@@ -15,11 +15,11 @@ from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame, wrap_angle
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.windows import Ground
-from joulemap.planner.course import course_of
+from joulemap.planner.grid.stopping import check_stop
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice.tiles import ground_of
 from joulemap.planner.route import Route
-from joulemap.planner.stopping import check_stop
-from joulemap.planner.tiles import ground_of
+from joulemap.planner.verdict.trajectory import course_of
 from joulemap.planner.words import duration_words, energy_words
 
 SPEEDS = 15

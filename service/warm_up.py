@@ -45,8 +45,8 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
     """
     from joulemap.model.runs.cutting import cut_segments
     from joulemap.model.runs.reader import run_of
-    from joulemap.planner.lattice_io import save_lattice
-    from joulemap.planner.plan import PLANNERS, RoutePlanner
+    from joulemap.planner.lattice.io import save_lattice
+    from joulemap.planner.route_planner import PLANNERS, RoutePlanner
     from joulemap.planner.stored_planner import StoredPlanner
 
     began = time.perf_counter()

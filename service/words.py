@@ -9,7 +9,7 @@ from joulemap.model.runs.words import number_words
 from joulemap.planner.words import duration_words, energy_words
 
 if TYPE_CHECKING:
-    from joulemap.planner.budget import Verdict
+    from joulemap.planner.verdict.budget import Verdict
 
 __all__ = [
     "any_of",

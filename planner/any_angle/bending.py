@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from joulemap.planner.kernels import heading_memory, leg_energy_with, turn_angle
+from joulemap.planner.pricing.kernels import heading_memory, leg_energy_with, turn_angle
 
 ACROSS, ALONG, ON_LINE = 0, 1, 2
 """Directions of a shift: across the path, along it, or along the line of cell centres that the vertex lies on."""

@@ -18,11 +18,11 @@ from joulemap.planner.any_angle.line_points import cheapest_over_line_points
 from joulemap.planner.any_angle.newton import settled
 from joulemap.planner.any_angle.region import region_around, region_between
 from joulemap.planner.any_angle.shortcuts import shortcuts
-from joulemap.planner.edges import Points, leg_prices, path_price, price_arrays
+from joulemap.planner.grid.stopping import check_stop
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.moves import MoveTable
-from joulemap.planner.polylines import distinct, path_length, subdivided
-from joulemap.planner.stopping import check_stop
+from joulemap.planner.pricing.integrator import Points, leg_prices, path_price, price_arrays
+from joulemap.planner.pricing.moves import MoveTable
+from joulemap.planner.pricing.polylines import distinct, path_length, subdivided
 
 ANY_ANGLE_NEIGHBOURS = 32
 """Moves per cell of the grid search before: more headings find other passages and other valleys."""

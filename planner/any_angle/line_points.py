@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from joulemap.model.frames import wrap_angle
 from joulemap.planner.any_angle.chords import AROUND, Chords, chords_of
-from joulemap.planner.buckets import BUCKETS, put
-from joulemap.planner.edges import Points, interpolation_matrix, leg_prices_between, price_arrays
-from joulemap.planner.kernels import fill_tractions, mean_response
+from joulemap.planner.grid.buckets import BUCKETS, put
+from joulemap.planner.grid.stopping import check_stop, stop_flag
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.polylines import distinct
-from joulemap.planner.stopping import check_stop, stop_flag
+from joulemap.planner.pricing.integrator import Points, interpolation_matrix, leg_prices_between, price_arrays
+from joulemap.planner.pricing.kernels import fill_tractions, mean_response
+from joulemap.planner.pricing.polylines import distinct
 
 _WIDTH = 0.05
 """Width of a bucket [energy of a typical cell]; any width gives the same path."""

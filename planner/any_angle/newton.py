@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from joulemap.planner.any_angle.bending import ACROSS, set_sides
-from joulemap.planner.kernels import heading_memory, leg_energy_with, polyline_energies
+from joulemap.planner.pricing.kernels import heading_memory, leg_energy_with, polyline_energies
 
 DAMPING = 1e-3
 """Added to the diagonal of the Hessian, as a share of its largest entry, where a stretch has no curvature at all."""

@@ -15,13 +15,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from joulemap.planner.edges import Points
-from joulemap.planner.heuristics import energy_bounds, guide_everywhere, guide_towards
+from joulemap.planner.grid.heuristics import energy_bounds, guide_everywhere, guide_towards
+from joulemap.planner.grid.search import GridPath, direct_energy, joined_points, no_route, terminals
+from joulemap.planner.grid.states import layer_count, new_search, run_search
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.moves import MoveTable
-from joulemap.planner.polylines import subdivided
-from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals
-from joulemap.planner.states import layer_count, new_search, run_search
+from joulemap.planner.pricing.integrator import Points
+from joulemap.planner.pricing.moves import MoveTable
+from joulemap.planner.pricing.polylines import subdivided
 
 CLOSED_LAG, OPEN_LAG = 0.15, 0.015
 """Most energy of a grid path beyond the least, as a share of the energy of a cell, for each root of its length [cells]:

@@ -10,9 +10,9 @@ import math
 import numpy as np
 from numba import njit
 
-from joulemap.planner.edges import Points, price_arrays
-from joulemap.planner.kernels import heading_memory, leg_energy_with, path_energy, turn_angle
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.pricing.integrator import Points, price_arrays
+from joulemap.planner.pricing.kernels import heading_memory, leg_energy_with, path_energy, turn_angle
 
 SPAN = 4
 """Legs that one leg may replace in one pass."""

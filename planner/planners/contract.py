@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from joulemap.planner.edges import Points
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.moves import MoveTable
+from joulemap.planner.pricing.integrator import Points
+from joulemap.planner.pricing.moves import MoveTable
 
 
 @dataclass(frozen=True, eq=False, repr=False)

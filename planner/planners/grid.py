@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from joulemap.planner.edges import Points
+from joulemap.planner.grid.search import GridPath, grid_search
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.moves import MoveTable
 from joulemap.planner.planners.contract import Options, Planner
-from joulemap.planner.search import GridPath, grid_search
+from joulemap.planner.pricing.integrator import Points
+from joulemap.planner.pricing.moves import MoveTable
 
 
 def _astar(

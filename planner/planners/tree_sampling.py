@@ -7,18 +7,18 @@ from functools import partial
 from typing import Any
 
 from joulemap.model.errors import NoRouteError
-from joulemap.planner.edges import Points, path_price
+from joulemap.planner.grid.search import GridPath, grid_search
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.moves import MoveTable
 from joulemap.planner.planners.contract import Options, Planner
-from joulemap.planner.search import GridPath, grid_search
+from joulemap.planner.pricing.integrator import Points, path_price
+from joulemap.planner.pricing.moves import MoveTable
 
 Found = tuple[Points, dict[str, Any]]
 
 
 def _tree(lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options, *, name: str) -> Found:
     """From the grid, sample only where its two energy fields leave room for a better path."""
-    from joulemap.planner.sampling import informed_subset, sample_route
+    from joulemap.planner.sampling.trees import informed_subset, sample_route
 
     settings = _settings(options)
     if not options.from_grid:
@@ -33,7 +33,7 @@ def _tree(lattice: CostLattice, table: MoveTable, start: Points, goal: Points, o
 
 def _bitstar(lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options) -> Found:
     """From the grid, sample in corridors around its path."""
-    from joulemap.planner.sampling import sample_along, sample_route
+    from joulemap.planner.sampling.trees import sample_along, sample_route
 
     settings = _settings(options)
     if not options.from_grid:

@@ -29,7 +29,7 @@ from joulemap.model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START, sample_t
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.answers import Plan
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.lattice_io import load_lattice
+from joulemap.planner.lattice.io import load_lattice
 from joulemap.planner.route import price_route
 from joulemap.service.commands.console import Output, write_file
 from joulemap.service.commands.options import Reading

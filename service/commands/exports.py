@@ -38,7 +38,7 @@ def export(
 
     `joulemap export dem.zarr --out site.cog.tif`
     """
-    from joulemap.planner.lattice_io import load_lattice
+    from joulemap.planner.lattice.io import load_lattice
     from joulemap.service.exports.maps import ZIP, map_format_of, save_map
 
     output, chosen = Output(json_file), map_format_of(out, format)

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from joulemap.service.schemas.maps import CostmapOut
 
 MOST_VALUES = 400_000_000
-"""Most rows x columns x headings of a cost map unless the user allows more: the limit of `planner.lattice_build` for a
+"""Most rows x columns x headings of a cost map unless the user allows more: the limit of `planner.lattice.build` for a
 lattice in memory, so that `joulemap path` can read what was made."""
 
 FROM_DISK = 2_000_000
@@ -122,7 +122,7 @@ def costmap(
     """
     from joulemap.model.terrain.plausible import heightmap_warnings
     from joulemap.model.terrain.readers import open_ground
-    from joulemap.planner.lattice_io import LatticeFolder
+    from joulemap.planner.lattice.io import LatticeFolder
 
     output = Output(json_file)
     if out is not None:
@@ -239,7 +239,7 @@ def _also_as(folder: Path, geotiff: Path | None, npz: Path | None, picture: Path
     """Other files of a cost map; it is only read, as a whole, when one is wanted."""
     if geotiff is None and npz is None and picture is None:
         return
-    from joulemap.planner.lattice_io import export_npz, load_lattice
+    from joulemap.planner.lattice.io import export_npz, load_lattice
     from joulemap.service.exports.maps import save_map
     from joulemap.service.pictures import lattice_image
 
@@ -264,8 +264,8 @@ def _proven(found: dict[str, Any], *, bound: bool) -> dict[str, str]:
 
 def _memory_for(costmap: Path) -> float | None:
     """Memory [GB] for a question to a map that is better not read as a whole; None for a smaller one."""
-    from joulemap.planner.stored_lattice import StoredLattice
-    from joulemap.planner.tiled_search import DEFAULT_MEMORY
+    from joulemap.planner.lattice.stored_lattice import StoredLattice
+    from joulemap.planner.on_disk.tiled_search import DEFAULT_MEMORY
 
     return DEFAULT_MEMORY / 1e9 if StoredLattice(costmap).cells > FROM_DISK else None
 

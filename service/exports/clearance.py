@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 
 from joulemap.model.errors import BlockedError
-from joulemap.planner.edges import Points, leg_prices, leg_prices_between, world_points
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.pricing.integrator import Points, leg_prices, leg_prices_between, world_points
 from joulemap.planner.route import Route, price_route
 
 FURTHEST_M = 0.005

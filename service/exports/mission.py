@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.planner.edges import path_price, world_points
+from joulemap.planner.pricing.integrator import path_price, world_points
 from joulemap.service.exports.positions import degrees_of
 from joulemap.service.exports.simplify import corners_to_keep
 from joulemap.service.exports.track import Line, Track

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, TooLargeError
-from joulemap.planner.edges import leg_prices_between
 from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.pricing.integrator import leg_prices_between
 from joulemap.service.exports.ros_path import FRAME
 
 USUAL_NODES, MOST_NODES = 2_500, 40_000

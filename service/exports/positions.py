@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.planner.edges import Points, world_points
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.pricing.integrator import Points, world_points
 from joulemap.service.coordinates import DECIMALS, from_wgs84, to_wgs84
 from joulemap.service.exports.clearance import FURTHEST_M, cleared
 from joulemap.service.exports.track import Line, Track

@@ -7,8 +7,8 @@ import heapq
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.planner.edges import Points, leg_prices, path_price
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.pricing.integrator import Points, leg_prices, path_price
 
 ENERGY_SHARE = 0.005
 """By which share of a route's energy its mission may differ: half of the promised 1 %; rounding has the other half."""

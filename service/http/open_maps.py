@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
 
 

@@ -10,7 +10,7 @@ from importlib.metadata import version
 
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import BusyError, JoulemapError, NotFoundError
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.http.access_at_once import AtOnce
 from joulemap.service.http.connections import Connections
 from joulemap.service.http.health import NOT_YET, OK, Health

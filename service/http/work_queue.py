@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numba
 
 from joulemap.model.errors import BusyError
-from joulemap.planner.stopping import Flag, new_flag, stoppable
+from joulemap.planner.grid.stopping import Flag, new_flag, stoppable
 
 Result = TypeVar("Result")
 Observe = Callable[[str, float, float], None]

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from joulemap.model.battery import Battery
-from joulemap.planner.energy_map import EnergyMap, energy_map
-from joulemap.planner.fields import field_from, field_towards
-from joulemap.planner.moves import move_table
+from joulemap.planner.areas.energy_map import EnergyMap, energy_map
+from joulemap.planner.areas.reach_map import ReachMap
+from joulemap.planner.grid.fields import field_from, field_towards
 from joulemap.planner.places import end_point
-from joulemap.planner.reach_map import ReachMap
+from joulemap.planner.pricing.moves import move_table
 from joulemap.service.homeward import CONFIDENCE, Homeward, homeward
 from joulemap.service.library.costmap_base import CostMapBase, Point
 from joulemap.service.places import Places

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from joulemap.model.robot import Robot
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.coordinates import PlaceLike
 
 Point = PlaceLike

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import ConflictError
-from joulemap.planner.lattice_io import save_lattice
+from joulemap.planner.lattice.io import save_lattice
 from joulemap.service.cost_lattices import summarise
 from joulemap.service.exports.maps import save_map
 from joulemap.service.library.costmap_base import CostMapBase
@@ -63,7 +63,7 @@ class CostMapOutput(CostMapBase):
         xarray.Dataset
             Dimensions y, x, heading; energy per metre [J/m] is NaN where that heading is blocked.
         """
-        from joulemap.planner.lattice_xarray import lattice_dataset
+        from joulemap.planner.lattice.xarray_dataset import lattice_dataset
 
         return lattice_dataset(self._whole)
 

@@ -54,7 +54,7 @@ class RouteQuestions(CostMapBase):
         start, goal : sequence of float
             World x, y [m].
         planner : str, optional
-            One of `joulemap.planner.plan.PLANNERS`.
+            One of `joulemap.planner.route_planner.PLANNERS`.
         neighbours : int, optional
             Directions of a step on the grid: 8, 16 or 32.
         refine : bool, optional

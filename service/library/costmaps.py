@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from joulemap.model.errors import InputError
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.lattice_build import DEFAULT_HEADINGS
-from joulemap.planner.lattice_io import load_lattice
+from joulemap.planner.lattice.build import DEFAULT_HEADINGS
+from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.on_disk.tiled_search import DEFAULT_MEMORY
 from joulemap.planner.stored_planner import StoredPlanner
-from joulemap.planner.tiled_search import DEFAULT_MEMORY
 from joulemap.service.cost_lattices import make_cost_lattice
 from joulemap.service.library.costmap_areas import AreaQuestions
 from joulemap.service.library.costmap_output import CostMapOutput

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 from joulemap.model.errors import InputError
 from joulemap.model.robot import Robot
-from joulemap.planner.budget import Verdict, battery_along
 from joulemap.planner.route import Route
+from joulemap.planner.verdict.budget import Verdict, battery_along
 from joulemap.service.library.html import html_table
 from joulemap.service.library.route_output import route_numbers
 from joulemap.service.words import duration_words, route_words, verdict_words
 
 if TYPE_CHECKING:
     from joulemap.model.battery import Battery
-    from joulemap.planner.battery_trace import BatteryTrace
-    from joulemap.planner.course import Course
+    from joulemap.planner.verdict.battery_trace import BatteryTrace
+    from joulemap.planner.verdict.trajectory import Course
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -15,9 +15,9 @@ from joulemap.model.errors import InfeasibleError, NoRouteError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.route import Route, price_route
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.coordinates import PlaceLike
 from joulemap.service.models import planning_robot
 from joulemap.service.places import Places

@@ -12,10 +12,10 @@ import numpy as np
 from joulemap.model.battery import Battery
 from joulemap.model.robot import Robot
 from joulemap.planner.answers import Plan
-from joulemap.planner.battery_trace import BatteryTrace
-from joulemap.planner.budget import Verdict
-from joulemap.planner.course import Course
 from joulemap.planner.route import Route
+from joulemap.planner.verdict.battery_trace import BatteryTrace
+from joulemap.planner.verdict.budget import Verdict
+from joulemap.planner.verdict.trajectory import Course
 from joulemap.service.feasibility import Assessment
 from joulemap.service.problems import jsonable
 from joulemap.service.route_uncertainty import odds_along, quantiles_of_route

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, WrapValidator
 
-from joulemap.planner.point_of_no_return import Bail
+from joulemap.planner.verdict.point_of_no_return import Bail
 from joulemap.service.homeward import CONFIDENCE, MOST_CHARGING, Homeward
 from joulemap.service.schemas.base import Areas, PathPlace, Place, Request, ResponseModel, RobotIn, quick_points
 from joulemap.service.schemas.planning import BatteryIn, PlaceOut

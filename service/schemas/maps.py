@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from joulemap.model.ranges import COORDINATE_M, HEADINGS, HEIGHT_M, RESOLUTION_M, SCALE_M, SPACING_M, STORED
-from joulemap.planner.lattice_build import DEFAULT_HEADINGS
+from joulemap.planner.lattice.build import DEFAULT_HEADINGS
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.schemas.base import (
     ClosedModel,

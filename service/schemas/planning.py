@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, WrapValidator, field_validator, model_validator
 
 from joulemap.model.ranges import BATTERY, BATTERY_CURVES, CURVE_POINTS, SEARCH_S, Range
-from joulemap.planner.plan import PLANNERS
+from joulemap.planner.route_planner import PLANNERS
 from joulemap.service.schemas.base import (
     Areas,
     PathPlace,

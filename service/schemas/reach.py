@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from joulemap.model.ranges import BATTERY
-from joulemap.planner.reach_map import ReachMap
+from joulemap.planner.areas.reach_map import ReachMap
 from joulemap.service.coordinates import to_wgs84
 from joulemap.service.reach import CONFIDENCE, MOST_CHARGES
 from joulemap.service.schemas.base import Areas, Place, Request, ResponseModel, RobotIn, within

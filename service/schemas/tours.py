@@ -8,8 +8,8 @@ from pydantic import Field
 
 from joulemap.model.ranges import SEARCH_S
 from joulemap.planner.answers import RoundTrip
-from joulemap.planner.budget import Verdict
-from joulemap.planner.tours import MAX_STOPS
+from joulemap.planner.questions.tours import MAX_STOPS
+from joulemap.planner.verdict.budget import Verdict
 from joulemap.service.route_uncertainty import quantiles_of_route
 from joulemap.service.schemas.answers import profile_pieces, route_values, verdict_out
 from joulemap.service.schemas.base import Areas, Place, Request, RobotIn, within

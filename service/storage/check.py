@@ -16,8 +16,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from joulemap.model.errors import JoulemapError
 from joulemap.model.terrain.readers import read_heightmap
-from joulemap.planner.checked_store import CheckedStore
-from joulemap.planner.lattice_io import open_group
+from joulemap.planner.lattice.checked_store import CheckedStore
+from joulemap.planner.lattice.io import open_group
 from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.stats import heightmap_stats

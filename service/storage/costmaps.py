@@ -7,9 +7,8 @@ from typing import Any
 
 from sqlalchemy import select
 
-from joulemap.planner import checksums
-from joulemap.planner.lattice import CostLattice
-from joulemap.planner.lattice_io import LatticeFolder, load_lattice
+from joulemap.planner.lattice import CostLattice, checksums
+from joulemap.planner.lattice.io import LatticeFolder, load_lattice
 from joulemap.service.storage.jobs import KeptJobs, new_job
 from joulemap.service.storage.tables import (
     COSTMAP,

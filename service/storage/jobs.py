@@ -13,7 +13,7 @@ from sqlalchemy import select, update
 from sqlalchemy.exc import IntegrityError
 
 from joulemap.model.errors import NotFoundError
-from joulemap.planner.lattice_io import LatticeFolder
+from joulemap.planner.lattice.io import LatticeFolder
 from joulemap.service.storage.kept import Kept, now
 from joulemap.service.storage.object_vault import FETCHED, ObjectVault
 from joulemap.service.storage.sums import sums_of

@@ -16,9 +16,9 @@ from joulemap.model.errors import DamagedError, InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner.lattice_io import open_group
-from joulemap.planner.stored_lattice import StoredLattice
-from joulemap.planner.tiles import Tiling
+from joulemap.planner.lattice.io import open_group
+from joulemap.planner.lattice.stored_lattice import StoredLattice
+from joulemap.planner.lattice.tiles import Tiling
 
 
 class StoredBase:

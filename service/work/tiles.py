@@ -22,8 +22,8 @@ from joulemap.model.errors import NegativeCycleError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.readers import open_ground
 from joulemap.planner.figures import figures_of, joined_figures
-from joulemap.planner.lattice_build import build_tile, knows_spread, provenance_of
-from joulemap.planner.lattice_io import LatticeFolder
+from joulemap.planner.lattice.build import build_tile, knows_spread, provenance_of
+from joulemap.planner.lattice.io import LatticeFolder
 from joulemap.service.cost_lattices import prepare_build
 from joulemap.service.work.stored_base import with_stored_base
 
@@ -220,7 +220,7 @@ def _summary(tiles: Tiles) -> dict[str, Any]:
     notes = [_note(order, number).read_text(encoding="utf-8") for number in range(len(tiles.tiling))]
     figures = joined_figures([json.loads(note) for note in notes])
     if figures["energy_per_m"] is not None and figures["energy_per_m"]["min"] < 0.0:
-        from joulemap.planner.plan import RoutePlanner  # loads slowly
+        from joulemap.planner.route_planner import RoutePlanner  # loads slowly
 
         try:
             RoutePlanner(order.folder.read_unfinished(provenance)).prepare()

@@ -18,7 +18,7 @@ from rich.table import Table
 
 import joulemap as jm
 from joulemap.model.errors import BlockedError
-from joulemap.planner.edges import leg_prices, world_points
+from joulemap.planner.pricing.integrator import leg_prices, world_points
 from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.exports.mission import mission_of
 from joulemap.service.exports.positions import degrees_of

@@ -32,10 +32,10 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.synthesis import sample_terrain
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.moves import move_table
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.polylines import distances_along, subdivided
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.pricing.polylines import distances_along, subdivided
+from joulemap.planner.route_planner import RoutePlanner
 from tests.bench.maps import terrain
 
 STORED = Path(__file__).parent / "stored_answers.npz"

@@ -17,9 +17,9 @@ from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.frames import heading_bins
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner.edges import interpolation_matrix
-from joulemap.planner.lattice_build import build_lattice, write_lattice
-from joulemap.planner.tiles import Tiling
+from joulemap.planner.lattice.build import build_lattice, write_lattice
+from joulemap.planner.lattice.tiles import Tiling
+from joulemap.planner.pricing.integrator import interpolation_matrix
 from tests.bench.maps import ROBOT, terrain
 from tests.bench.stages import resnet_seconds_per_patch
 from tests.bench.timing import Row, once, seconds

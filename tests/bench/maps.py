@@ -10,7 +10,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.synthesis import TerrainRecipe, make_terrain
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.lattice.build import build_lattice
 
 ROBOT = Robot()
 CORNERS = ((0.9, 0.1), (0.1, 0.9))

@@ -14,8 +14,8 @@ from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import InfeasibleError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.objectives import Objective, Weighed, plan_by
 from tests.bench.maps import terrain
 

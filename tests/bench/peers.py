@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
-from joulemap.planner.edges import path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.moves import MoveTable
+from joulemap.planner.pricing.integrator import path_price
+from joulemap.planner.pricing.moves import MoveTable
 
 GRAPH_CELLS = 100_000
 """Larger maps are not given to libraries whose edges are objects: building their graph takes minutes."""

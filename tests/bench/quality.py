@@ -16,16 +16,16 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.synthesis import sample_terrain
 from joulemap.planner.any_angle.best import improved
-from joulemap.planner.bound import bound_table, energy_bound
-from joulemap.planner.edges import leg_prices_between, path_price
-from joulemap.planner.heuristics import guide_everywhere
+from joulemap.planner.grid.heuristics import guide_everywhere
+from joulemap.planner.grid.search import grid_search
+from joulemap.planner.grid.states import new_search, run_search
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.move_prices import move_offsets
-from joulemap.planner.moves import MoveTable, move_table, table_of
-from joulemap.planner.plan import SAMPLING_PLANNERS, RoutePlanner
-from joulemap.planner.search import grid_search
-from joulemap.planner.states import new_search, run_search
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.pricing.integrator import leg_prices_between, path_price
+from joulemap.planner.pricing.move_prices import move_offsets
+from joulemap.planner.pricing.moves import MoveTable, move_table, table_of
+from joulemap.planner.questions.bound import bound_table, energy_bound
+from joulemap.planner.route_planner import SAMPLING_PLANNERS, RoutePlanner
 from tests.bench.maps import CORNERS, free_corner, physics_lattice, terrain
 from tests.bench.peers import PeerRow, Question, ask_peers
 from tests.bench.searches import scipy_graph

@@ -6,9 +6,9 @@ import numpy as np
 from rich.table import Table
 
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner.areas.reach import peak_need, reach_field
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.plan import ANY_ANGLE_NEIGHBOURS, RoutePlanner
-from joulemap.planner.reach import peak_need, reach_field
+from joulemap.planner.route_planner import ANY_ANGLE_NEIGHBOURS, RoutePlanner
 from tests.bench.maps import physics_lattice, terrain
 from tests.bench.quality import quality_maps
 from tests.bench.timing import raced

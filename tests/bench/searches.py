@@ -10,11 +10,11 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from joulemap.planner.fields import field_from, field_towards
+from joulemap.planner.grid.fields import field_from, field_towards
+from joulemap.planner.grid.search import grid_search
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.moves import MoveTable, move_table
-from joulemap.planner.replan import Replanner
-from joulemap.planner.search import grid_search
+from joulemap.planner.pricing.moves import MoveTable, move_table
+from joulemap.planner.questions.replan import Replanner
 from tests.bench.maps import CORNERS, free_corner, physics_lattice, terrain
 from tests.bench.timing import Row, once, raced, seconds
 

@@ -17,10 +17,10 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.patches import cut_patches
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.any_angle.best import improved
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.moves import move_table
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.search import grid_search
+from joulemap.planner.grid.search import grid_search
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.route_planner import RoutePlanner
 from tests.bench.maps import CORNERS, ROBOT, free_corner, physics_lattice, terrain
 from tests.bench.searches import search_rows
 from tests.bench.timing import Row, seconds

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.uncertainty import Spread
-from joulemap.planner.odds import EnergyOdds
+from joulemap.planner.verdict.energy_distribution import EnergyOdds
 
 FloatArray = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import pytest
 
 from joulemap.model.errors import InputError, NoRouteError
 from joulemap.planner import planners
-from joulemap.planner.edges import price_world_path
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.pricing.integrator import price_world_path
+from joulemap.planner.route_planner import RoutePlanner
 from tests.docs.code_blocks import Machine, blocks_of
 from tests.reference.lattices import ascii_lattice, random_lattice
 

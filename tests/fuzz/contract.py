@@ -21,7 +21,7 @@ from typing import Any
 import httpx
 
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner.plan import SAMPLING_PLANNERS
+from joulemap.planner.route_planner import SAMPLING_PLANNERS
 from tests.fuzz.contract_hooks import KNOWN
 from tests.load import Server
 from tests.service.conftest import GOAL, START, hill

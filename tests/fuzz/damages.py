@@ -22,8 +22,8 @@ import joulemap as jm
 from joulemap.model.errors import DamagedError
 from joulemap.model.frames import GridFrame
 from joulemap.planner.lattice import Blocked
-from joulemap.planner.lattice_io import LatticeFolder, load_lattice
-from joulemap.planner.tiles import Tiling
+from joulemap.planner.lattice.io import LatticeFolder, load_lattice
+from joulemap.planner.lattice.tiles import Tiling
 from tests.reference.lattices import surface_lattice
 
 START, GOAL = (3.2, 4.1), (35.7, 28.3)

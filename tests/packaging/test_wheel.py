@@ -104,7 +104,7 @@ def test_the_sdist_holds_files_and_no_links(built: Path) -> None:
     (sdist,) = built.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         members = {member.name.split("/", 1)[-1]: member for member in archive.getmembers()}
-    assert members["joulemap/planner/plan.py"].isreg()
+    assert members["joulemap/planner/route_planner.py"].isreg()
     assert not [name for name, member in members.items() if member.issym()]
 
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from joulemap.model.errors import InputError, NoRouteError
 from joulemap.model.robot import Robot
-from joulemap.planner.alternatives import alternative_paths, improved_ways
-from joulemap.planner.edges import path_price
-from joulemap.planner.moves import move_table
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.search import grid_search
+from joulemap.planner.grid.search import grid_search
+from joulemap.planner.pricing.integrator import path_price
+from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.questions.alternatives import alternative_paths, improved_ways
+from joulemap.planner.route_planner import RoutePlanner
 from tests.reference.lattices import ascii_lattice, random_lattice
 
 ISLANDS = """

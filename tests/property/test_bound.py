@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from joulemap.model.errors import NegativeCycleError, NoRouteError
 from joulemap.model.robot import Robot
 from joulemap.planner.any_angle.best import best_path
-from joulemap.planner.bound import bound_table, energy_bound, quick_bound
-from joulemap.planner.edges import path_price
-from joulemap.planner.moves import move_table
+from joulemap.planner.pricing.integrator import path_price
+from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.questions.bound import bound_table, energy_bound, quick_bound
 from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice
 
 

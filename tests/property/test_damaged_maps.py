@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import DamagedError
-from joulemap.planner.lattice_io import load_lattice
+from joulemap.planner.lattice.io import load_lattice
 from tests.fuzz.damages import answers, fuzz, make_map, make_older
 
 
@@ -85,7 +85,7 @@ def test_a_folder_that_cannot_be_written_is_read(older, tmp_path, monkeypatch) -
     def _read_only(*_):
         raise PermissionError("read-only")
 
-    monkeypatch.setattr("joulemap.planner.checksums.Checksums.write", _read_only)
+    monkeypatch.setattr("joulemap.planner.lattice.checksums.Checksums.write", _read_only)
     assert np.isfinite(load_lattice(tmp_path / "a.zarr").traction_per_m).any()
     assert not (tmp_path / "a.zarr" / "checksums").exists()
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from joulemap.planner.any_angle.chords import chords_of
 from joulemap.planner.any_angle.line_points import cheapest_over_line_points
-from joulemap.planner.edges import leg_prices_between, path_price
+from joulemap.planner.pricing.integrator import leg_prices_between, path_price
 from tests.reference.lattices import random_lattice
 
 ROWS, COLS = 5, 6

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from joulemap.model.errors import BlockedError, NegativeCycleError, NoRouteError
-from joulemap.planner.edges import path_price
-from joulemap.planner.fields import field_towards
-from joulemap.planner.moves import move_table
-from joulemap.planner.replan import Replanner, changed_window
+from joulemap.planner.grid.fields import field_towards
+from joulemap.planner.pricing.integrator import path_price
+from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.questions.replan import Replanner, changed_window
 from tests.reference.lattices import random_lattice
 
 

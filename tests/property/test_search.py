@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from joulemap.model.errors import BlockedError, NegativeCycleError, NoRouteError
 from joulemap.planner.any_angle.best import improved
-from joulemap.planner.edges import path_price
-from joulemap.planner.fields import field_from, field_towards
-from joulemap.planner.graph import lattice_graph
-from joulemap.planner.heuristics import guide_everywhere
-from joulemap.planner.moves import move_table
-from joulemap.planner.search import grid_search
-from joulemap.planner.states import layer_count, new_search, run_search
+from joulemap.planner.grid.fields import field_from, field_towards
+from joulemap.planner.grid.graph import lattice_graph
+from joulemap.planner.grid.heuristics import guide_everywhere
+from joulemap.planner.grid.search import grid_search
+from joulemap.planner.grid.states import layer_count, new_search, run_search
+from joulemap.planner.pricing.integrator import path_price
+from joulemap.planner.pricing.moves import move_table
 from tests.reference.lattices import random_lattice
 
 

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from joulemap.model.errors import InputError, JoulemapError, NegativeCycleError, NoRouteError
-from joulemap.planner.coarse import coarse_level
-from joulemap.planner.edges import path_price
-from joulemap.planner.lattice_io import save_lattice
-from joulemap.planner.move_prices import MovePrices
-from joulemap.planner.moves import move_table
-from joulemap.planner.search import grid_search
-from joulemap.planner.stored_lattice import StoredLattice
-from joulemap.planner.tiled_search import TiledSearch
+from joulemap.planner.grid.search import grid_search
+from joulemap.planner.lattice.io import save_lattice
+from joulemap.planner.lattice.stored_lattice import StoredLattice
+from joulemap.planner.on_disk.coarse import coarse_level
+from joulemap.planner.on_disk.tiled_search import TiledSearch
+from joulemap.planner.pricing.integrator import path_price
+from joulemap.planner.pricing.move_prices import MovePrices
+from joulemap.planner.pricing.moves import move_table
 from tests.reference.lattices import random_lattice
 
 SHAPE = (37, 45)

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from joulemap.model.errors import BlockedError, InputError, NoRouteError
-from joulemap.planner.edges import path_price
-from joulemap.planner.moves import move_table
-from joulemap.planner.search import grid_search
-from joulemap.planner.tours import cheapest_tour
+from joulemap.planner.grid.search import grid_search
+from joulemap.planner.pricing.integrator import path_price
+from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.questions.tours import cheapest_tour
 from tests.reference.lattices import ascii_lattice, random_lattice
 
 

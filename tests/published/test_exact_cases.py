@@ -8,11 +8,11 @@ from joulemap.model.errors import NoRouteError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.planner.any_angle.best import improved
-from joulemap.planner.edges import path_price
-from joulemap.planner.move_prices import move_offsets
-from joulemap.planner.moves import move_table
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.search import grid_search
+from joulemap.planner.grid.search import grid_search
+from joulemap.planner.pricing.integrator import path_price
+from joulemap.planner.pricing.move_prices import move_offsets
+from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.route_planner import RoutePlanner
 from tests.reference.lattices import plane_lattice, surface_lattice, uniform_lattice
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.planner.grid.search import grid_search
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.moves import move_table
-from joulemap.planner.search import grid_search
+from joulemap.planner.pricing.moves import move_table
 
 MAPS = ("arena2", "random512-10-1", "London_1_512", "maze512-1-0")
 SAMPLE = 80

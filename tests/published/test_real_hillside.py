@@ -11,14 +11,14 @@ from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.errors import NoRouteError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.readers import read_heightmap
-from joulemap.planner.edges import path_price, price_world_path, world_points
-from joulemap.planner.fields import field_from
-from joulemap.planner.graph import lattice_graph
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.moves import move_table
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.sampling import corridor
-from joulemap.planner.search import grid_search
+from joulemap.planner.grid.fields import field_from
+from joulemap.planner.grid.graph import lattice_graph
+from joulemap.planner.grid.search import grid_search
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.pricing.integrator import path_price, price_world_path, world_points
+from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.sampling.trees import corridor
 from tests.reference.quadrature import leg_energy_by_midpoints
 
 CROSSINGS = [((20.5, 179.5), (179.5, 20.5)), ((100.5, 15.5), (90.5, 189.5)), ((30.2, 60.7), (170.9, 120.3))]

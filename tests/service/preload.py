@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from joulemap.planner import tiles
-from joulemap.planner.lattice_io import LatticeFolder
+from joulemap.planner.lattice import tiles
+from joulemap.planner.lattice.io import LatticeFolder
 from joulemap.service.work import tiles as work
 
 NAME = "JOULEMAP_TEST_WORKERS"

@@ -18,9 +18,9 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner.edges import price_world_path
-from joulemap.planner.lattice_io import load_lattice
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.pricing.integrator import price_world_path
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service import pictures
 from joulemap.service.cli import app
 from joulemap.service.commands.console import parse_point

@@ -22,7 +22,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner.lattice_build import MAX_LATTICE_VALUES
+from joulemap.planner.lattice.build import MAX_LATTICE_VALUES
 from joulemap.service.cli import app
 from joulemap.service.commands.arguments import RENAMED, one_value_each, with_option_names
 from joulemap.service.commands.console import Output

@@ -15,7 +15,7 @@ import pytest
 import joulemap as jm
 from joulemap.model import errors
 from joulemap.model.errors import InputError
-from joulemap.planner.lattice_io import load_lattice
+from joulemap.planner.lattice.io import load_lattice
 from joulemap.service.cli import app
 from joulemap.service.client import service as client_of_a_service
 from joulemap.service.client.answers import error_of, tree_of

@@ -29,7 +29,7 @@ from schemathesis.specs.openapi.checks import (
 )
 
 from joulemap.model.robot import Robot
-from joulemap.planner.plan import SAMPLING_PLANNERS
+from joulemap.planner.route_planner import SAMPLING_PLANNERS
 from joulemap.service.http.app import create_app, openapi_document
 from joulemap.service.schemas.base import RobotIn, RobotOut
 from tests.service.conftest import GOAL, START, settings_for

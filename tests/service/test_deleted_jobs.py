@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from joulemap.model.errors import NotFoundError
-from joulemap.planner import lattice_io
-from joulemap.planner import tiles as tiling
-from joulemap.planner.lattice_io import LatticeFolder
+from joulemap.planner.lattice import io as lattice_io
+from joulemap.planner.lattice import tiles as tiling
+from joulemap.planner.lattice.io import LatticeFolder
 from joulemap.service.jobs.costmaps import order_of
 from joulemap.service.jobs.engine import Jobs
 from joulemap.service.storage.object_vault import ObjectVault

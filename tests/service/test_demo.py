@@ -21,10 +21,10 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START
-from joulemap.planner.edges import price_world_path
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.lattice_io import load_lattice
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.pricing.integrator import price_world_path
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.commands.demo import free_corners
 
 JOULEMAP = str(Path(sys.executable).with_name("joulemap"))

@@ -25,8 +25,8 @@ import joulemap as jm
 from joulemap.model.errors import InputError, TooLargeError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner.edges import leg_prices, price_world_path, world_points
 from joulemap.planner.lattice import Blocked
+from joulemap.planner.pricing.integrator import leg_prices, price_world_path, world_points
 from joulemap.planner.words import energy_words
 from joulemap.service.commands.path_files import read_path
 from joulemap.service.exports.clearance import READ_FURTHEST_M, price_given_path

@@ -14,8 +14,8 @@ import pytest
 
 import joulemap as jm
 from joulemap.model.energy.physics import PhysicsPredictor
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.route_planner import RoutePlanner
 
 mpl.use("agg")
 

@@ -16,8 +16,8 @@ from rasterio.io import MemoryFile
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner.edges import price_world_path
-from joulemap.planner.lattice_io import load_lattice
+from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.pricing.integrator import price_world_path
 from joulemap.service.schemas.planning import FeasibilityOut, PathOut
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST, hill
 from tests.service.test_restart import wait_until

@@ -18,8 +18,8 @@ from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import InputError
 from joulemap.model.loop.terms import Correction
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.cli import app
 from joulemap.service.library.costmaps import CostMap
 from joulemap.service.route_uncertainty import quantiles_of_route

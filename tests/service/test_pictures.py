@@ -16,8 +16,8 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service import ground_drawing, raster_shading
 from joulemap.service.map_style import INK, OPTIMAL, SHORTEST
 from joulemap.service.pictures import lattice_image, route_picture

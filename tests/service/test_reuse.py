@@ -35,7 +35,7 @@ def service(tmp_path: Path, monkeypatch):
         return answer(self, heightmap, robot, frame, headings)
 
     monkeypatch.setattr(CompactPredictor, "traction_and_std", counted)
-    monkeypatch.setattr("joulemap.planner.tiles.TILE_CELLS", 64)
+    monkeypatch.setattr("joulemap.planner.lattice.tiles.TILE_CELLS", 64)
     store = Store(tmp_path, settings.resolved_database_url)
     store.open()
     heightmap_id = store.add_heightmap(rolling(80), name="rolling", stats={}).id

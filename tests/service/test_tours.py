@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from joulemap.planner.edges import price_world_path
-from joulemap.planner.lattice_io import load_lattice
+from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.pricing.integrator import price_world_path
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST
 from tests.service.test_bad_input import check_problem
 from tests.service.test_cli import folder, joulemap  # noqa: F401

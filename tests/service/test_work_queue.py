@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import BusyError, NoRouteError
-from joulemap.planner.fields import field_towards
-from joulemap.planner.moves import move_table
-from joulemap.planner.stopping import Stopped, check_stop, new_flag, stop_flag, stoppable
+from joulemap.planner.grid.fields import field_towards
+from joulemap.planner.grid.stopping import Stopped, check_stop, new_flag, stop_flag, stoppable
+from joulemap.planner.pricing.moves import move_table
 from joulemap.service.http.long_questions import events, while_connected
 from joulemap.service.http.work_queue import WorkQueue
 from tests.reference.lattices import random_lattice

@@ -21,8 +21,8 @@ from joulemap.model.errors import JoulemapError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner import tiles as tiling
-from joulemap.planner.lattice_build import provenance_of
+from joulemap.planner.lattice import tiles as tiling
+from joulemap.planner.lattice.build import provenance_of
 from joulemap.service.cluster.connection import connected
 from joulemap.service.http.app import create_app
 from joulemap.service.jobs.costmaps import make

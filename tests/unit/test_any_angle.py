@@ -10,10 +10,10 @@ import pytest
 from joulemap.model.errors import NoRouteError
 from joulemap.model.robot import Robot
 from joulemap.planner.any_angle.best import best_path, improved, tightened
-from joulemap.planner.edges import path_price
+from joulemap.planner.grid.search import grid_search
 from joulemap.planner.lattice import Blocked
-from joulemap.planner.moves import move_table
-from joulemap.planner.search import grid_search
+from joulemap.planner.pricing.integrator import path_price
+from joulemap.planner.pricing.moves import move_table
 from tests.reference.lattices import ascii_lattice, random_lattice, uniform_lattice
 
 

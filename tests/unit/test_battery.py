@@ -9,10 +9,10 @@ import pytest
 
 from joulemap.model.battery import Battery, pack_of
 from joulemap.model.errors import InputError
-from joulemap.planner.battery_trace import trace_battery
-from joulemap.planner.budget import judge_course
-from joulemap.planner.course import Course
-from joulemap.planner.odds import EnergyOdds
+from joulemap.planner.verdict.battery_trace import trace_battery
+from joulemap.planner.verdict.budget import judge_course
+from joulemap.planner.verdict.energy_distribution import EnergyOdds
+from joulemap.planner.verdict.trajectory import Course
 
 FLAT = ((0.0, 10.0), (1.0, 10.0))
 

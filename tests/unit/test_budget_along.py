@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from joulemap.model.battery import Battery
-from joulemap.planner.budget import judge, judge_along
+from joulemap.planner.verdict.budget import judge, judge_along
 
 PIECES = st.lists(st.floats(-5000.0, 5000.0), min_size=1, max_size=30)
 

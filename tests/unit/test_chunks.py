@@ -10,9 +10,9 @@ import zarr
 from zarr.codecs import BloscCodec, GzipCodec
 
 from joulemap.model.errors import DamagedError
-from joulemap.planner.checked_store import CheckedStore
-from joulemap.planner.checksums import PIECE_BYTES, Checksums
-from joulemap.planner.chunks import Chunks, read_array, read_chunk
+from joulemap.planner.lattice.checked_store import CheckedStore
+from joulemap.planner.lattice.checksums import PIECE_BYTES, Checksums
+from joulemap.planner.lattice.chunks import Chunks, read_array, read_chunk
 
 VALUES = np.random.default_rng(5).normal(size=(25, 33, 4)).astype(np.float32)
 
@@ -131,7 +131,7 @@ def test_no_more_is_kept_than_allowed(tmp_path, monkeypatch) -> None:
     array = checked(array)
     read: list[int] = []
     monkeypatch.setattr(
-        "joulemap.planner.chunks.read_chunk", lambda of, i, *more: read.append(i) or read_chunk(of, i, *more)
+        "joulemap.planner.lattice.chunks.read_chunk", lambda of, i, *more: read.append(i) or read_chunk(of, i, *more)
     )
     chunks = Chunks(3 * 3 * 64)
     got = [chunks.get(array, i, 0, (0, 8), (0, 8)) for i in (*range(10), *reversed(range(10)))]

@@ -6,7 +6,7 @@ import pytest
 from joulemap.model.errors import PointError
 from joulemap.model.frames import heading_bins
 from joulemap.model.robot import Robot
-from joulemap.planner.edges import (
+from joulemap.planner.pricing.integrator import (
     energy_per_m_at,
     interpolation_matrix,
     leg_prices,

@@ -13,8 +13,8 @@ from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.lattice_io import export_npz, load_lattice, save_lattice
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.lattice.io import export_npz, load_lattice, save_lattice
 
 ROBOT = Robot(max_grade_deg=20.0, max_cross_slope_deg=15.0)
 

@@ -14,9 +14,9 @@ import zarr
 
 from joulemap.model.robot import Robot
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.lattice_io import LatticeFolder, load_lattice, save_lattice
-from joulemap.planner.lattice_xarray import lattice_dataset
-from joulemap.planner.tiles import Tiling
+from joulemap.planner.lattice.io import LatticeFolder, load_lattice, save_lattice
+from joulemap.planner.lattice.tiles import Tiling
+from joulemap.planner.lattice.xarray_dataset import lattice_dataset
 from tests.reference.lattices import plane_lattice
 
 

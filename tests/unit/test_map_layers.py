@@ -15,9 +15,9 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.lattice_io import save_lattice
-from joulemap.planner.stored_lattice import StoredLattice
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.lattice.io import save_lattice
+from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.service import map_pieces, raster_shading
 from joulemap.service.map_layers import (
     blocked_layer,

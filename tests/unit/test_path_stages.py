@@ -10,7 +10,7 @@ from joulemap.model.robot import Robot
 from joulemap.planner.any_angle.bending import ACROSS, ON_LINE, bent
 from joulemap.planner.any_angle.newton import settled
 from joulemap.planner.any_angle.shortcuts import shortcuts
-from joulemap.planner.edges import path_price, price_arrays
+from joulemap.planner.pricing.integrator import path_price, price_arrays
 from tests.reference.lattices import ascii_lattice
 
 LENGTH = 32.0

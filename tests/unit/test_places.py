@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from joulemap.model.errors import BlockedError, PointError
 from joulemap.model.robot import Robot
-from joulemap.planner.edges import leg_prices_between
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.places import nearest_free
-from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.pricing.integrator import leg_prices_between
+from joulemap.planner.route_planner import RoutePlanner
 from tests.reference.lattices import ascii_lattice, plane_lattice
 
 ROBOT = Robot(max_grade_deg=25.0, max_cross_slope_deg=20.0)

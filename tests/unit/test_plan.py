@@ -9,12 +9,12 @@ from joulemap.model.battery import Battery
 from joulemap.model.errors import BlockedError, InputError, NegativeCycleError, NoRouteError, PointError
 from joulemap.model.robot import Robot
 from joulemap.planner.any_angle.best import shorter_of
-from joulemap.planner.budget import judge
-from joulemap.planner.edges import path_price, price_world_path
-from joulemap.planner.ompl_problem import price_floor_per_m
-from joulemap.planner.plan import PLANNERS, RoutePlanner, distance_lattice
-from joulemap.planner.polylines import path_length
+from joulemap.planner.pricing.integrator import path_price, price_world_path
+from joulemap.planner.pricing.polylines import path_length
 from joulemap.planner.route import price_route
+from joulemap.planner.route_planner import PLANNERS, RoutePlanner, distance_lattice
+from joulemap.planner.sampling.ompl_problem import price_floor_per_m
+from joulemap.planner.verdict.budget import judge
 from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice, uniform_lattice
 
 ROOM = """

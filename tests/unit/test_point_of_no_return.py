@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from joulemap.planner.course import course_of_pieces
-from joulemap.planner.edges import world_points
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.point_of_no_return import WaysFrom, last_place
+from joulemap.planner.pricing.integrator import world_points
 from joulemap.planner.route import pieces_of
+from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.verdict.point_of_no_return import WaysFrom, last_place
+from joulemap.planner.verdict.trajectory import course_of_pieces
 from tests.reference.lattices import random_lattice
 
 

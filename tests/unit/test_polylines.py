@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from joulemap.planner.polylines import corners, distances_along, path_length, subdivided
+from joulemap.planner.pricing.polylines import corners, distances_along, path_length, subdivided
 
 
 @pytest.mark.parametrize("seed", range(5))

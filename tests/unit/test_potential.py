@@ -6,8 +6,8 @@ import pytest
 from joulemap.model.errors import NegativeCycleError
 from joulemap.model.robot import Robot
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.moves import move_table
-from joulemap.planner.potential import even_surface, spare_per_m
+from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.pricing.potential import even_surface, spare_per_m
 from tests.reference.lattices import plane_lattice
 
 GENTLE = Robot(rolling_resistance=0.1, idle_power_w=0.0)

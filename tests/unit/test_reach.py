@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from joulemap.model.robot import Robot
-from joulemap.planner.edges import Points
+from joulemap.planner.areas.reach import peak_need
+from joulemap.planner.areas.reach_map import ReachMap
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.reach import peak_need
-from joulemap.planner.reach_map import ReachMap
+from joulemap.planner.pricing.integrator import Points
+from joulemap.planner.route_planner import RoutePlanner
 from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice
 
 ROVER = Robot(idle_power_w=0.0, max_grade_deg=30.0, max_cross_slope_deg=30.0)

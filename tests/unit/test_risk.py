@@ -13,12 +13,12 @@ from joulemap.model.battery import Battery
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import InputError, NoRouteError
 from joulemap.model.robot import Robot
+from joulemap.planner.grid.search import grid_search
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.power_limit import within_power
-from joulemap.planner.risk import Aim, LeastQuantile, MostLikely, Priced, least
-from joulemap.planner.search import grid_search
-from joulemap.planner.weighing import Weighing, weighed
+from joulemap.planner.objectives.power_limit import within_power
+from joulemap.planner.objectives.risk import Aim, LeastQuantile, MostLikely, Priced, least
+from joulemap.planner.objectives.weighing import Weighing, weighed
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.objectives import Objective, Weighed, plan_by
 from joulemap.service.route_uncertainty import odds_along
 from tests.reference.lattices import plane_lattice, random_lattice

@@ -7,7 +7,7 @@ import pytest
 
 from joulemap.model.energy.route_errors import ENOUGH, correlated_variance, fit_route_errors
 from joulemap.model.energy.uncertainty import Spread, fit_spread
-from joulemap.planner.odds import EnergyOdds
+from joulemap.planner.verdict.energy_distribution import EnergyOdds
 
 RUNS, LENGTH = 60, 200
 

@@ -16,10 +16,10 @@ from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner.budget import judge, judge_along
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.route import price_route
+from joulemap.planner.verdict.budget import judge, judge_along
 from joulemap.service.feasibility import assess
 from joulemap.service.route_uncertainty import odds_along
 

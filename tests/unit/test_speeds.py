@@ -11,7 +11,7 @@ from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.errors import InputError
 from joulemap.model.loop.forms.speed import Speed
 from joulemap.model.loop.terms import Correction, Term
-from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.lattice.build import build_lattice
 from joulemap.service.library.costmaps import CostMap
 from joulemap.service.models import find_predictor
 from joulemap.service.speeds import known_speeds, speeds_along

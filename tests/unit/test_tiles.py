@@ -21,9 +21,9 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import open_ground, read_heightmap
 from joulemap.model.terrain.windows import HeightmapFile, overview
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner.lattice_build import build_lattice, write_lattice
-from joulemap.planner.lattice_io import LatticeFolder, load_lattice
-from joulemap.planner.tiles import Tiling
+from joulemap.planner.lattice.build import build_lattice, write_lattice
+from joulemap.planner.lattice.io import LatticeFolder, load_lattice
+from joulemap.planner.lattice.tiles import Tiling
 
 ROOT = Path(__file__).resolve().parents[2]
 ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked", "std_j")

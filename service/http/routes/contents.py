@@ -12,7 +12,7 @@ from fastapi.responses import StreamingResponse
 
 from joulemap.model.errors import InputError
 from joulemap.model.ranges import CORRIDOR_PERCENT, HEADING_DEG
-from joulemap.planner.lattice_io import export_npz
+from joulemap.planner.lattice.io import export_npz
 from joulemap.service.coordinates import WorldPoint, world_point
 from joulemap.service.exports.maps import MAP_FORMATS, map_files, zipped
 from joulemap.service.http.dependencies import KernelsDep

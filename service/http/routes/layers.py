@@ -14,7 +14,7 @@ from fastapi.responses import JSONResponse
 
 from joulemap.model.ranges import HEADING_DEG
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.stored_lattice import StoredLattice
+from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.service.ground_drawing import REASONS
 from joulemap.service.http.dependencies import KernelsDep, ServiceDep

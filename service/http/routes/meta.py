@@ -10,7 +10,7 @@ from fastapi.responses import FileResponse, HTMLResponse, PlainTextResponse
 from pydantic import BaseModel, Field
 
 from joulemap.model.errors import NotFoundError
-from joulemap.planner.plan import PLANNERS
+from joulemap.planner.route_planner import PLANNERS
 from joulemap.service.http.dependencies import ServiceDep
 from joulemap.service.http.documents import problems
 from joulemap.service.http.metrics import MEDIA_TYPE

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Header, Request, Response
 
-from joulemap.planner.budget import battery_along
-from joulemap.planner.stopping import check_stop
+from joulemap.planner.grid.stopping import check_stop
+from joulemap.planner.verdict.budget import battery_along
 from joulemap.service.exports.track import track_of_plan, track_of_task, track_of_tour
 from joulemap.service.feasibility import assess, judge_routes
 from joulemap.service.http.access_at_once import EventStream

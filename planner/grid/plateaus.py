@@ -1,0 +1,104 @@
+"""Plateaus: stretches of moves that the search from a start and the one towards a goal both use.
+
+The path start - plateau - goal is locally the best: no detour shorter than the plateau makes it cheaper (Jones 2007;
+Abraham, Delling, Goldberg & Werneck 2013).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from joulemap.planner.grid.buckets import SETTLED
+from joulemap.planner.grid.states import Search
+from joulemap.planner.grid.turning_search import SEED, TURNED_LEFT, TURNED_RIGHT, state_before
+from joulemap.planner.pricing.moves import MoveTable
+
+_NONE = -1
+
+
+def plateaus(
+    ahead: Search, behind: Search, table: MoveTable, reached: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Return the stretches of moves that two searches share.
+
+    Parameters
+    ----------
+    ahead, behind : Search
+        From the start, and towards the goal.
+    table : MoveTable
+        Their moves.
+    reached : ndarray of int64, (n,)
+        States that the search towards the goal has reached.
+
+    Returns
+    -------
+    states : ndarray of int64, (n,)
+        The state that each plateau begins with.
+    via : ndarray of float64, (n,)
+        Energy of the best path through it [J].
+    length : ndarray of float64, (n,)
+        Energy of the plateau [J].
+    middle : ndarray of int64, (n,)
+        The cell half-way along it.
+    """
+    labels = ahead.energy_j, ahead.pred, behind.energy_j, behind.pred
+    return _measured(reached, *labels, table.jump, ahead.layers)
+
+
+@njit(cache=True, nogil=True)
+def _measured(reached, ahead, ahead_pred, behind, behind_pred, jump, layers):
+    """As `plateaus`; reached : the states that the search back has reached."""
+    states = np.empty(reached.size, dtype=np.int64)
+    via, length, middle = np.empty(reached.size), np.empty(reached.size), np.empty(reached.size, dtype=np.int64)
+    count = 0
+    for state in reached:
+        end = _shared_next(state, ahead_pred, behind_pred, jump, layers) if ahead[state] < np.inf else _NONE
+        if end == _NONE or _is_shared(state, ahead, ahead_pred, behind, behind_pred, jump, layers):
+            continue
+        while True:
+            further = _shared_next(end, ahead_pred, behind_pred, jump, layers)
+            if further == _NONE:
+                break
+            end = further
+        states[count] = state
+        via[count] = ahead[state] + behind[state]
+        length[count] = ahead[end] - ahead[state]
+        at = state
+        while ahead[at] - ahead[state] < 0.5 * length[count]:
+            at = _shared_next(at, ahead_pred, behind_pred, jump, layers)
+        middle[count] = at // layers
+        count += 1
+    return states[:count], via[:count], length[:count], middle[:count]
+
+
+@njit(cache=True)
+def _shared_next(state, ahead_pred, behind_pred, jump, layers):
+    """The state after one on the way to the goal where the search from the start came over the same move, else -1."""
+    if layers == 1:
+        code = behind_pred[state] & (SETTLED - 1)
+        if code == 0:
+            return _NONE
+        following = state + jump[code - 1]
+        return following if ahead_pred[following] & (SETTLED - 1) == code else _NONE
+    code = behind_pred[state]
+    if code == SEED:
+        return _NONE
+    following = state_before(code, state, jump, True)
+    # what turned right on the way back is a turn to the left on the way there
+    mirrored = TURNED_LEFT if code == TURNED_RIGHT else TURNED_RIGHT if code == TURNED_LEFT else code
+    return following if ahead_pred[following] == mirrored else _NONE
+
+
+@njit(cache=True)
+def _is_shared(state, ahead, ahead_pred, behind, behind_pred, jump, layers):
+    """Whether the move by which the search from the start reached a state is one that the search back used too."""
+    if layers == 1:
+        code = ahead_pred[state] & (SETTLED - 1)
+        before = state - jump[code - 1] if code > 0 else _NONE
+    else:
+        before = state_before(ahead_pred[state], state, jump, False) if ahead_pred[state] != SEED else _NONE
+    if before == _NONE or not (ahead[before] < np.inf and behind[before] < np.inf):
+        return False
+    return _shared_next(before, ahead_pred, behind_pred, jump, layers) == state

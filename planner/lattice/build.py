@@ -1,0 +1,302 @@
+"""Predictor + ground -> cost lattice, tile by tile: into memory, or tile after tile into a folder."""
+
+from __future__ import annotations
+
+import datetime as dt
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.errors import TooLargeError
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.windows import Ground, overview
+from joulemap.model.traction import TractionSource
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice.io import LatticeFolder
+from joulemap.planner.lattice.limits import ground_limits
+from joulemap.planner.lattice.tiles import Tiling, ground_of
+
+DEFAULT_HEADINGS = 16
+MAX_LATTICE_VALUES = 400_000_000
+"""Largest rows * cols * headings held in memory (1.6 GB of float32); a folder may hold any number."""
+
+
+def build_tile(
+    ground: Ground, robot: Robot, source: TractionSource, tiling: Tiling, rows: slice, cols: slice
+) -> CostLattice:
+    """Build the lattice of some of the tiling's cells, equal to that part of the whole lattice to float32 rounding.
+
+    Memory is bounded by the cells and the heights around them.
+
+    Parameters
+    ----------
+    ground : Ground
+        The heightmap, in memory or in a file.
+    robot : Robot
+        Whose prices and limits these are.
+    source : TractionSource
+        The model that predicts traction [J/m].
+    tiling : Tiling
+        Frame, headings and tiles of the whole lattice.
+    rows, cols : slice
+        The cells to build.
+
+    Returns
+    -------
+    CostLattice
+        The cells; its provenance is empty, see `provenance_of`.
+    """
+    frame = tiling.frame.window(rows.start, rows.stop, cols.start, cols.stop)
+    heights = ground_of(ground, frame, robot)
+    elevation, gradient, blocked = ground_limits(heights, frame, robot)
+    traction, std = source.traction_and_std(heights, robot, frame, heading_bins(tiling.headings))
+    silent = np.isnan(traction).any(axis=2) & (blocked == Blocked.FREE)
+    blocked[silent] = Blocked.UNKNOWN
+    return CostLattice(frame, robot, traction, elevation, gradient, blocked, {}, std)
+
+
+def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: Tiling) -> dict[str, Any]:
+    """Return how a lattice is made, with every warning about the map and the robot.
+
+    Parameters
+    ----------
+    ground : Ground
+        The heightmap.
+    robot : Robot
+        Whose prices and limits these are.
+    source : TractionSource
+        The model.
+    tiling : Tiling
+        Frame and headings of the lattice.
+
+    Returns
+    -------
+    dict
+        JSON-able: version and time, heightmap, model, `spacing_m`, `headings`, `warnings`.
+    """
+    return {
+        "joulemap": version("joulemap"),
+        "made_at": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
+        "heightmap": {
+            "hash": ground.data_hash,
+            "source": ground.source,
+            "resolution_m": ground.frame.resolution_m,
+            "known_share": ground.known_share,
+        },
+        "model": source.provenance(),
+        "spacing_m": tiling.frame.resolution_m,
+        "headings": tiling.headings,
+        "warnings": source.warnings(overview(ground), robot),
+    }
+
+
+def build_lattice(
+    ground: Ground,
+    robot: Robot,
+    source: TractionSource,
+    *,
+    spacing_m: float = 1.0,
+    headings: int = DEFAULT_HEADINGS,
+    tile_cells: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> CostLattice:
+    """Build the cost lattice of a whole heightmap in memory.
+
+    Parameters
+    ----------
+    ground : Ground
+        The heightmap, in memory or in a file.
+    robot : Robot
+        Whose prices and limits these are.
+    source : TractionSource
+        The model that predicts traction [J/m].
+    spacing_m : float, default 1.0
+        Side of a cell [m].
+    headings : int, default 16
+        Number of heading bins, 4 to 360.
+    tile_cells : int, optional
+        Side of a tile [cells]; chosen from the heightmap's resolution where None.
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    CostLattice
+        The lattice with its provenance.
+
+    Raises
+    ------
+    InputError
+        If the number of headings is out of range.
+    HeightmapError
+        If the spacing does not fit the map.
+    TooLargeError
+        Above `MAX_LATTICE_VALUES`.
+    """
+    tiling = Tiling.of(ground.frame, spacing_m=spacing_m, headings=headings, side=tile_cells)
+    frame = tiling.frame
+    if tiling.values > MAX_LATTICE_VALUES:
+        raise TooLargeError(
+            f"{frame.rows} x {frame.cols} cells at {headings} headings are {tiling.values:,} values, the limit is "
+            f"{MAX_LATTICE_VALUES:,} in memory: choose a larger spacing than {spacing_m:g} m, or write the map "
+            "to a folder with the command `joulemap costmap`",
+            values=tiling.values,
+            limit=MAX_LATTICE_VALUES,
+        )
+    traction = np.empty((*frame.shape, headings), dtype=np.float32)
+    elevation = np.empty(frame.shape, dtype=np.float32)
+    gradient = np.empty((*frame.shape, 2), dtype=np.float32)
+    blocked = np.empty(frame.shape, dtype=np.uint8)
+    std: NDArray[np.float32] | None = None
+    for number, place in enumerate(tiling):
+        part = build_tile(ground, robot, source, tiling, *place)
+        traction[place], elevation[place] = part.traction_per_m, part.elevation_m
+        gradient[place], blocked[place] = part.gradient, part.blocked
+        if part.std_j is not None:
+            std = np.empty_like(traction) if std is None else std
+            std[place] = part.std_j
+        if progress is not None:
+            progress((number + 1) / len(tiling))
+    provenance = provenance_of(ground, robot, source, tiling)
+    return CostLattice(frame, robot, traction, elevation, gradient, blocked, provenance, std)
+
+
+def write_lattice(
+    path: str | Path,
+    ground: Ground,
+    robot: Robot,
+    source: TractionSource,
+    tiling: Tiling,
+    *,
+    each: Callable[[CostLattice], None] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Write a lattice of any size to a folder, whole or not at all, holding two tiles in memory at a time.
+
+    Cut off by an exception, Ctrl-C or SIGTERM, it leaves nothing behind.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder, usually NAME.zarr. A cost lattice that is there is replaced at the end.
+    ground : Ground
+        The heightmap, in memory or in a file.
+    robot : Robot
+        Whose prices and limits these are.
+    source : TractionSource
+        The model that predicts traction [J/m].
+    tiling : Tiling
+        Frame, headings and tiles of the lattice.
+    each : callable, optional
+        Called with the `CostLattice` of every tile.
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    dict
+        The lattice's provenance, see `provenance_of`.
+
+    Raises
+    ------
+    InputError
+        If something else than a cost lattice is at `path`.
+    """
+    folder = LatticeFolder(path)
+    with _Interruptions() as interruptions, folder.whole_or_nothing():
+        with interruptions.held_back():
+            folder.lay_out(tiling, robot, with_std=knows_spread(source, robot))
+        writer = ThreadPoolExecutor(1)  # writes a tile while the next one is priced
+        try:
+            described = writer.submit(provenance_of, ground, robot, source, tiling)
+            writing: Future[None] | None = None
+            for number, place in enumerate(tiling):
+                part = build_tile(ground, robot, source, tiling, *place)
+                if writing is not None:
+                    writing.result()
+                writing = writer.submit(folder.write, part, *place)
+                if each is not None:
+                    each(part)
+                if progress is not None:
+                    progress((number + 1) / len(tiling))
+            if writing is not None:
+                writing.result()
+            provenance = described.result()
+        finally:
+            with interruptions.held_back():
+                writer.shutdown(cancel_futures=True)
+        with interruptions.held_back(to_the_end=True):
+            folder.finish(provenance)
+    return provenance
+
+
+class _Interruptions:
+    """Ctrl-C and SIGTERM raise an exception, but not while zarr writes: its own thread would go on writing, into a
+    folder that is being removed. Where somebody else listens to a signal, it is left to them.
+    """
+
+    def __init__(self) -> None:
+        self._held = False
+        self._came: int | None = None
+
+    def __enter__(self) -> _Interruptions:
+        usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+        here = threading.current_thread() is threading.main_thread()
+        self._before = {n: old for n, old in usual.items() if here and signal.getsignal(n) == old}
+        for number in self._before:
+            signal.signal(number, self._handle)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, _: object) -> None:
+        if self._held:
+            self._came = number
+        elif number == signal.SIGINT:
+            raise KeyboardInterrupt
+        else:
+            sys.exit(128 + number)
+
+    @contextmanager
+    def held_back(self, *, to_the_end: bool = False) -> Iterator[None]:
+        """Let what comes meanwhile wait for the end of the block; after the last block there is nothing to end."""
+        self._held = True
+        try:
+            yield
+        finally:
+            self._held = to_the_end
+            if self._came is not None and not to_the_end:
+                self._handle(self._came, None)
+
+
+def knows_spread(source: TractionSource, robot: Robot) -> bool:
+    """Return whether a model gives the standard deviation of its predictions, asked on a little flat ground.
+
+    Parameters
+    ----------
+    source : TractionSource
+        The model.
+    robot : Robot
+        The robot to ask for.
+
+    Returns
+    -------
+    bool
+        Whether the lattice will have `std_j`.
+    """
+    flat = Heightmap(np.zeros((8, 8), dtype=np.float32), GridFrame(0.0, 8.0, 1.0, 8, 8))
+    cell = flat.frame.window(3, 5, 3, 5)
+    return source.traction_and_std(flat, robot, cell, heading_bins(4))[1] is not None

@@ -1,0 +1,181 @@
+"""A cost lattice that stays on disk: windows of it are read when they are asked for."""
+
+from __future__ import annotations
+
+from copy import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+
+from joulemap.model.errors import DamagedError, JoulemapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice.avoid import Polygon, without
+from joulemap.planner.lattice.checksums import damaged
+from joulemap.planner.lattice.chunks import Chunks
+from joulemap.planner.lattice.io import open_group
+
+_FILLS: dict[str, float] = {
+    "traction_per_m": np.nan,
+    "elevation_m": np.nan,
+    "gradient": np.nan,
+    "blocked": int(Blocked.OUTSIDE),
+    "std_j": np.nan,
+}
+_LIMITS = ("gradient", "blocked")
+
+
+class StoredLattice:
+    """A lattice folder, opened without reading its arrays. Several threads may ask at once.
+
+    Parameters
+    ----------
+    path : str or Path
+        A folder written by `save_lattice` or `write_lattice`.
+    kept_bytes : int, default 100 MB
+        How much of what was read last is kept in memory: neighbouring windows share chunks.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    frame : GridFrame
+        Where the cells lie.
+    robot : Robot
+        Whose prices and limits these are.
+    headings : int
+        Number of heading bins.
+    provenance : dict
+        How the lattice was made.
+    chunk : int
+        Cells along a chunk on disk.
+
+    Raises
+    ------
+    InputError
+        If `path` is missing or is not a cost lattice.
+    DamagedError
+        If it is a damaged one, here or when a window is read.
+    """
+
+    def __init__(self, path: str | Path, *, kept_bytes: int = 100_000_000) -> None:
+        self.path = Path(path)
+        group = open_group(self.path)
+        meta: dict[str, Any] = dict(group.attrs)
+        try:
+            self.frame = GridFrame(**meta["frame"])
+            self.robot = Robot.from_mapping(meta["robot"])
+            self.provenance: dict[str, Any] = meta["provenance"]
+            self._arrays: dict[str, zarr.Array[Any]] = {name: group[name] for name in _FILLS if name in group}  # type: ignore[misc]
+            self.headings = int(self._arrays["traction_per_m"].shape[2])
+            self.chunk = int(self._arrays["traction_per_m"].chunks[0])
+        except DamagedError:
+            raise
+        except (KeyError, TypeError, JoulemapError) as error:
+            raise damaged(self.path.name, f"{type(error).__name__} {error}") from error
+        self._chunks = Chunks(kept_bytes)
+        self._avoided: tuple[Polygon, ...] = ()
+
+    def avoiding(self, areas: tuple[Polygon, ...]) -> StoredLattice:
+        """Return the same lattice, which shares what was read, with the cells of some polygons blocked.
+
+        Parameters
+        ----------
+        areas : tuple of Polygon
+            From `avoid.checked_polygons`.
+
+        Returns
+        -------
+        StoredLattice
+            Its windows have them blocked.
+        """
+        other = copy(self)
+        other._avoided = areas
+        return other
+
+    @property
+    def arrays(self) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+        """Name of each array, with its shape beyond rows and columns, and its type."""
+        return {name: (of.shape[2:], of.dtype) for name, of in self._arrays.items()}
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return self.frame.rows * self.frame.cols
+
+    def window(self, row0: int, row1: int, col0: int, col1: int, *, what: tuple[str, ...] | None = None) -> CostLattice:
+        """Return the lattice of cells [row0, row1) x [col0, col1); what lies beyond the map is blocked.
+
+        Parameters
+        ----------
+        row0, row1, col0, col1 : int
+            The cells; they may lie beyond the map.
+        what : tuple of str, optional
+            Names of the arrays to read; the others are filled as unknown. All by default.
+
+        Returns
+        -------
+        CostLattice
+            In memory.
+        """
+        arrays: dict[str, Any] = {}
+        shape = row1 - row0, col1 - col0
+        for name, of in self._arrays.items():
+            if what is not None and name not in what:
+                if name == "std_j":
+                    continue
+                more = of.shape[2:]
+                arrays[name] = np.broadcast_to(np.array(_FILLS[name], dtype=of.dtype), (*shape, *more))
+            else:
+                arrays[name] = self.read(of, _FILLS[name], row0, row1, col0, col1)
+        placed = self.frame.window(row0, row1, col0, col1)
+        lattice = CostLattice(placed, self.robot, provenance=self.provenance, **arrays)
+        return without(lattice, self._avoided) if self._avoided and (what is None or "blocked" in what) else lattice
+
+    def limits(self, row0: int, row1: int, col0: int, col1: int) -> CostLattice:
+        """Return a window with gradients and blocked cells only.
+
+        Parameters
+        ----------
+        row0, row1, col0, col1 : int
+            The cells; they may lie beyond the map.
+
+        Returns
+        -------
+        CostLattice
+            Its prices are unknown.
+        """
+        return self.window(row0, row1, col0, col1, what=_LIMITS)
+
+    def read(self, of: zarr.Array[Any], fill: float, row0: int, row1: int, col0: int, col1: int) -> NDArray[Any]:
+        """Return a window of an array over the cells of this lattice.
+
+        Parameters
+        ----------
+        of : zarr array, (rows, cols, ...)
+            The array, chunked along rows and columns alone.
+        fill : float
+            What stands beyond the map.
+        row0, row1, col0, col1 : int
+            The cells; they may lie beyond the map.
+
+        Returns
+        -------
+        ndarray
+            In memory.
+        """
+        high, wide = of.chunks[:2]
+        out = np.full((row1 - row0, col1 - col0, *of.shape[2:]), fill, dtype=of.dtype)
+        rows, cols = self.frame.shape
+        for i in range(max(row0, 0) // high, -(-min(row1, rows) // high)):
+            for j in range(max(col0, 0) // wide, -(-min(col1, cols) // wide)):
+                top, down = max(i * high, row0), min((i + 1) * high, row1, rows)
+                left, right = max(j * wide, col0), min((j + 1) * wide, col1, cols)
+                out[top - row0 : down - row0, left - col0 : right - col0] = self._chunks.get(
+                    of, i, j, (top - i * high, down - i * high), (left - j * wide, right - j * wide)
+                )
+        return out

@@ -1,0 +1,121 @@
+"""A lattice of which only some parts are in memory, so that what works on a whole lattice works along a path.
+
+Its arrays have the size of the whole map in address space alone: the system gives memory to the pages that are written.
+What was not read counts as blocked, so no leg can lead there unseen.
+"""
+
+from __future__ import annotations
+
+import mmap
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice.stored_lattice import StoredLattice
+from joulemap.planner.pricing.integrator import Points
+
+BLOCK_CELLS = 32
+"""Side of what is read at once."""
+
+
+class Strip:
+    """The part of a stored lattice that was read so far.
+
+    Parameters
+    ----------
+    stored : StoredLattice
+        The whole lattice.
+
+    Attributes
+    ----------
+    lattice : CostLattice
+        Of the size of the map; blocked as unknown where nothing was read.
+    """
+
+    def __init__(self, stored: StoredLattice) -> None:
+        self._stored = stored
+        rows, cols = stored.frame.shape
+        self._read = np.zeros((-(-rows // BLOCK_CELLS), -(-cols // BLOCK_CELLS)), dtype=np.bool_)
+        arrays: dict[str, Any] = {
+            name: reserved((rows, cols, *more), dtype) for name, (more, dtype) in stored.arrays.items()
+        }
+        arrays["blocked"][:] = int(Blocked.UNKNOWN)
+        self.lattice = CostLattice(stored.frame, stored.robot, provenance=stored.provenance, **arrays)
+
+    @property
+    def bytes_read(self) -> int:
+        """Memory of what was read [bytes]."""
+        per_cell = sum(
+            int(np.prod(more, dtype=np.int64)) * np.dtype(dtype).itemsize
+            for more, dtype in self._stored.arrays.values()
+        )
+        return int(self._read.sum()) * BLOCK_CELLS**2 * per_cell
+
+    def read_along(self, points: Points, *, cells: int) -> None:
+        """Read what lies near a polyline.
+
+        Parameters
+        ----------
+        points : ndarray of float, (n, 2)
+            Fractional (row, col).
+        cells : int
+            How far from it the lattice is wanted, at least [cells]; 1 or more.
+        """
+        wanted = np.zeros_like(self._read)
+        for (row0, col0), (row1, col1) in zip(points[:-1], points[1:], strict=True):
+            count = int(max(abs(row1 - row0), abs(col1 - col0)) / min(2 * cells, BLOCK_CELLS)) + 2
+            for row, col in np.linspace((row0, col0), (row1, col1), count):
+                wanted[self._near(row, cells), self._near(col, cells)] = True
+        if len(points) == 1:
+            wanted[self._near(points[0, 0], cells), self._near(points[0, 1], cells)] = True
+        new = wanted & ~self._read
+        blocks = max(self._stored.chunk // BLOCK_CELLS, 1)
+        for i in range(0, new.shape[0], blocks):
+            for j in range(0, new.shape[1], blocks):
+                if new[i : i + blocks, j : j + blocks].any():
+                    self._read_blocks(np.argwhere(new[i : i + blocks, j : j + blocks]) + np.array([i, j]))
+
+    def _read_blocks(self, places: NDArray[np.int64]) -> None:
+        """Read blocks that lie near each other; places : (n, 2)."""
+        row, col = places.min(axis=0) * BLOCK_CELLS
+        row1, col1 = np.minimum((places.max(axis=0) + 1) * BLOCK_CELLS, self._stored.frame.shape)
+        part = self._stored.window(row, row1, col, col1)
+        for name in self._stored.arrays:
+            values, to = getattr(part, name), getattr(self.lattice, name)
+            for i, j in places * BLOCK_CELLS:
+                to[i : i + BLOCK_CELLS, j : j + BLOCK_CELLS] = values[
+                    i - row : i - row + BLOCK_CELLS, j - col : j - col + BLOCK_CELLS
+                ]
+        self._read[tuple(places.T)] = True
+
+    @staticmethod
+    def _near(place: float, cells: int) -> slice:
+        return slice(max(int(place - cells) // BLOCK_CELLS, 0), int(place + cells) // BLOCK_CELLS + 1)
+
+
+def reserved(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return an array of zeros that takes no memory yet, whatever its size.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Its shape.
+    dtype : dtype
+        Its type.
+
+    Returns
+    -------
+    ndarray
+        The system gives it memory page by page, as they are written, and never in huge pages: these would take several
+        times what is written.
+    """
+    size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | getattr(mmap, "MAP_NORESERVE", 0)
+    memory = mmap.mmap(-1, size, flags=flags)
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):
+        with suppress(OSError):  # a system without huge pages
+            memory.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(memory, dtype=dtype).reshape(shape)

@@ -1,0 +1,164 @@
+"""Alternative routes from a start to a goal: each locally as good as the best, none a small variation of another.
+
+Plateaus (Jones 2007; Abraham et al. 2013, "Alternative routes in road networks"): a stretch of moves that both the
+least-energy tree from the start and the one towards the goal use. The path start - plateau - goal follows least-energy
+paths into the plateau, along it and out of it, so no detour shorter than the plateau makes it cheaper. Both trees are
+energy fields, and all plateaus are found in them at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.errors import InputError
+from joulemap.planner.any_angle.best import improved
+from joulemap.planner.grid.fields import field_from, field_towards
+from joulemap.planner.grid.plateaus import plateaus
+from joulemap.planner.grid.search import GridPath, grid_search, joined_points
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.pricing.integrator import Points, path_price
+from joulemap.planner.pricing.moves import MoveTable
+from joulemap.planner.pricing.polylines import path_length, subdivided
+
+STRETCH = 1.3
+"""Most energy of an alternative, in multiples of the best path's."""
+LEAST_SHARE = 0.3
+"""Least share of an alternative's length that lies away from every path before it."""
+
+
+def alternative_paths(
+    lattice: CostLattice,
+    table: MoveTable,
+    start: Points,
+    goal: Points,
+    *,
+    count: int = 3,
+    stretch: float = STRETCH,
+    plateau: float = 0.1,
+    separation_m: float | None = None,
+    share: float = LEAST_SHARE,
+) -> list[GridPath]:
+    """Return the best path and good alternatives, cheapest first.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    start, goal : ndarray of float, (2,)
+        Fractional (row, col).
+    count : int, default 3
+        Most paths, the best one included.
+    stretch : float, default 1.3
+        Most energy of an alternative, in multiples of the best path's.
+    plateau : float, default 0.1
+        Least energy of its plateau, as a share of the best path's energy.
+    separation_m : float, optional
+        Distance from which a place counts as away from a path [m]: a twentieth of the best path's length, at least
+        three cells, where None.
+    share : float, default 0.3
+        Least share of its length that lies away from every path before it.
+
+    Returns
+    -------
+    list of GridPath
+        The paths.
+
+    Raises
+    ------
+    InputError
+        If a setting is out of range.
+    NoRouteError
+        If the goal cannot be reached.
+
+    References
+    ----------
+    Jones 2007; Abraham, Delling, Goldberg & Werneck 2013.
+    """
+    if count < 1 or stretch < 1.0 or not 0.0 < plateau <= 1.0 or not 0.0 <= share <= 1.0:
+        raise InputError(
+            f"alternatives need count >= 1, stretch >= 1, plateau in (0, 1] and share in [0, 1], got count {count}, "
+            f"stretch {stretch:g}, plateau {plateau:g}, share {share:g}"
+        )
+    best = grid_search(lattice, table, start, goal)
+    found = [best]
+    if count == 1 or best.energy_j <= 0.0:
+        return found
+    separation_m = _separation_m(lattice, best.points) if separation_m is None else separation_m
+    ahead, behind = field_from(lattice, table, start).search, field_towards(lattice, table, goal[None]).search
+    states, via, length, _ = plateaus(ahead, behind, table, np.flatnonzero(behind.energy_j < np.inf))
+    good = (length >= plateau * best.energy_j) & (via <= stretch * best.energy_j)
+    states, via, length = states[good], via[good], length[good]
+    away_m = _metres_from(lattice, best.points)
+    for k in np.argsort(via - length, kind="stable"):  # long plateaus first
+        into = ahead.trace(table, int(states[k]))[::-1] // ahead.layers
+        cells = np.append(into, behind.trace(table, int(states[k]))[1:] // behind.layers)
+        cells = cells[np.append(True, np.diff(cells) != 0)]  # turns on the spot
+        if np.unique(cells).size < cells.size or np.mean(away_m[cells] > separation_m) < share:
+            continue
+        found.append(GridPath(joined_points(lattice, start, cells, goal), float(via[k]), 0))
+        if len(found) == count:
+            break
+        away_m = np.minimum(away_m, _metres_from(lattice, found[-1].points))
+    return sorted(found, key=lambda path: path.energy_j)
+
+
+def improved_ways(lattice: CostLattice, best: Points, others: Sequence[Points]) -> list[Points]:
+    """Return alternatives after the any-angle step, those that still differ from the best path and each other.
+
+    Where the step draws one into a path before it, both sides of its place farthest from them are improved instead.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    best : ndarray of float, (n, 2)
+        (row, col) polyline of the best path, improved already.
+    others : sequence of ndarray of float, (m, 2)
+        Alternatives over grid moves.
+
+    Returns
+    -------
+    list of ndarray of float, (k, 2)
+        The improved alternatives that are left.
+    """
+    separation_m, limit = _separation_m(lattice, best), STRETCH * max(path_price(lattice, best), 0.0)
+    away_m, kept = _metres_from(lattice, best), []
+    for other in others:
+        way = improved(lattice, other)
+        if _share_beyond(lattice, way, away_m, separation_m) < LEAST_SHARE:
+            far = int(np.argmax(away_m[_cells(lattice, other)][1:-1])) + 1
+            ahead, behind = (improved(lattice, half) for half in (other[: far + 1], other[far:]))
+            way = np.vstack([ahead, behind[1:]])
+        if _share_beyond(lattice, way, away_m, separation_m) >= LEAST_SHARE and path_price(lattice, way) <= limit:
+            kept.append(way)
+            away_m = np.minimum(away_m, _metres_from(lattice, way))
+    return kept
+
+
+def _separation_m(lattice: CostLattice, best: Points) -> float:
+    """A twentieth of the best path's length, at least three cells [m]."""
+    return lattice.frame.resolution_m * max(3.0, 0.05 * path_length(best))
+
+
+def _cells(lattice: CostLattice, points: Points) -> NDArray[np.int64]:
+    """Flat indices of the cells under some places; a place on the border of the map is in the outermost cell."""
+    row, col = np.clip(np.rint(points).astype(np.int64), 0, np.array(lattice.frame.shape) - 1).T
+    return np.asarray(row * lattice.frame.cols + col)
+
+
+def _share_beyond(lattice: CostLattice, way: Points, away_m: NDArray[np.float64], separation_m: float) -> float:
+    return float(np.mean(away_m[_cells(lattice, subdivided(way, 1.0))] > separation_m))
+
+
+def _metres_from(lattice: CostLattice, way: Points) -> NDArray[np.float64]:
+    """(cells,) distance [m] of every cell from the nearest that lies along a path."""
+    away = np.ones(lattice.frame.shape, dtype=bool)
+    away.ravel()[_cells(lattice, subdivided(way, 1.0))] = False
+    from scipy.ndimage import distance_transform_edt  # loads slowly, and most questions need it not
+
+    return distance_transform_edt(away).ravel() * lattice.frame.resolution_m

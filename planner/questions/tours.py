@@ -1,0 +1,143 @@
+"""Round trips: from home to several places and back, in the order that costs least."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.errors import BusyError, InputError, NoRouteError
+from joulemap.planner.grid.fields import field_towards
+from joulemap.planner.grid.search import GridPath
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.pricing.integrator import Points
+from joulemap.planner.pricing.moves import MoveTable
+
+MAX_STOPS = 60
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tour:
+    """The cheapest round trip over grid moves.
+
+    Attributes
+    ----------
+    order : ndarray of int, (n,)
+        Which stop is visited when, home (stop 0) first.
+    paths : list of GridPath
+        n paths, from each stop to the next, the last one back home.
+    energy_j : float
+        Their sum [J].
+    bound_j : float
+        Proven lower bound of a tour over these moves [J]; equal to `energy_j` (to rounding) when the order is proven
+        to be the best.
+    energies_j : ndarray of float, (n, n)
+        Energy from each stop (row) to each other one (column) [J].
+    """
+
+    order: NDArray[np.int64]
+    paths: list[GridPath]
+    energy_j: float
+    bound_j: float
+    energies_j: NDArray[np.float64]
+
+
+def cheapest_tour(
+    lattice: CostLattice,
+    table: MoveTable,
+    stops: Points,
+    *,
+    time_limit_s: float = 10.0,
+    progress: Callable[[float], None] | None = None,
+) -> Tour:
+    """Return the cheapest round trip from the first stop over all others.
+
+    What turning on arrival at a stop costs is not counted.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    stops : ndarray of float, (n, 2)
+        Fractional (row, col) of 2 to `MAX_STOPS` stops.
+    time_limit_s : float, default 10.0
+        Longest time for the search of the order [s].
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    Tour
+        The order and the paths.
+
+    Raises
+    ------
+    InputError
+        If the number of stops is out of range, or OR-tools is not installed.
+    BlockedError
+        If no leg reaches a stop.
+    NoRouteError
+        If no route joins two stops; the message names them.
+    BusyError
+        If the time limit leaves no tour.
+
+    Notes
+    -----
+    One energy field towards each stop gives the energies between all of them, which on a slope are not the same both
+    ways. OR-tools' CP-SAT then finds the order over a circuit constraint, exactly unless the time runs out: the
+    asymmetric travelling salesman problem.
+    """
+    if not 2 <= len(stops) <= MAX_STOPS:
+        raise InputError(f"a tour has 2 to {MAX_STOPS} stops, got {len(stops)}", stops=len(stops), limit=[2, MAX_STOPS])
+    energies = np.zeros((len(stops), len(stops)))
+    paths: dict[tuple[int, int], GridPath] = {}
+    for j, goal in enumerate(stops):
+        field = field_towards(lattice, table, goal[None])
+        for i, start in enumerate(stops):
+            if i == j:
+                continue
+            try:
+                paths[i, j] = field.path_from(start)
+            except NoRouteError as error:
+                raise NoRouteError(
+                    f"no route leads from stop {i} to stop {j} of the tour within the limits of {lattice.robot.name}",
+                    stops=[i, j],
+                ) from error
+            energies[i, j] = paths[i, j].energy_j
+        if progress is not None:
+            progress((j + 1) / (len(stops) + 1))
+    order, bound = _best_order(energies, time_limit_s)
+    legs = [paths[int(i), int(j)] for i, j in zip(order, np.roll(order, -1), strict=True)]
+    if progress is not None:
+        progress(1.0)
+    return Tour(order, legs, float(sum(leg.energy_j for leg in legs)), bound, energies)
+
+
+def _best_order(energies_j: NDArray[np.float64], time_limit_s: float) -> tuple[NDArray[np.int64], float]:
+    """The cheapest circuit from stop 0, and a proven lower bound of its energy [J]."""
+    try:
+        from ortools.sat.python import cp_model
+    except ImportError as error:
+        raise InputError("a tour needs OR-tools: install joulemap with its extra `tours`", extra="tours") from error
+    n = len(energies_j)
+    unit_j = max(float(np.abs(energies_j).max()), 1e-9) / 1e9  # CP-SAT counts in whole numbers
+    model = cp_model.CpModel()
+    arcs = [(i, j, model.new_bool_var(f"{i} to {j}")) for i in range(n) for j in range(n) if i != j]
+    model.add_circuit(arcs)
+    model.minimize(sum(round(energies_j[i, j] / unit_j) * taken for i, j, taken in arcs))
+    solver = cp_model.CpSolver()
+    solver.parameters.max_time_in_seconds = time_limit_s
+    solver.parameters.num_workers = 1
+    solver.parameters.random_seed = 0
+    status = solver.solve(model)
+    if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+        raise BusyError(f"no tour was found within {time_limit_s:g} s: allow more time", retry_after_s=1)
+    following = {i: j for i, j, taken in arcs if solver.value(taken)}
+    order = [0]
+    while following[order[-1]] != 0:
+        order.append(following[order[-1]])
+    return np.array(order), min(solver.best_objective_bound, solver.objective_value) * unit_j

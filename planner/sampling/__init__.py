@@ -1,0 +1,1 @@
+"""OMPL's sampling planners on the same prices and limits."""
