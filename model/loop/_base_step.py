@@ -76,10 +76,12 @@ def base_step(residuals: Residuals, new: NDArray[np.bool_]) -> tuple[Residuals, 
     new : False in the baseline runs, (n,). Where there are any they alone are fitted, since no effect is at work there.
     """
     known = residuals if new.all() else residuals.take(~new)
-    drives = drives_of(known)
+    level = not known.features.grades.any()
+    drives = known.features.drives if level else drives_of(known)
     plain, moved, fitted = residuals.driven_by(Drives()), residuals.driven_by(drives), known.driven_by(drives)
-    base = BaseParameters.of(charge=fitted.charge, motors=fitted.motors)
-    term, scale = _alone(fitted, base), _alone(plain, BaseParameters(SCALE)) if plain.charge else None
+    base = BaseParameters.of(charge=fitted.charge, motors=fitted.motors, level=level)
+    scaled = BaseParameters(tuple(name for name in SCALE if name in base.names))
+    term, scale = _alone(fitted, base), _alone(plain, scaled) if plain.charge else None
     moved = replace(moved, features=with_base_parameters(moved.features, base, term.coefficients))
     return moved, term, scale
 

@@ -117,8 +117,8 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], first: Term) -> De
     shown = replace(
         rows, columns={k: v for k, v in rows.columns.items() if k not in residuals.refused or k in _DIRECTED}
     )
-    base = BaseParameters.of(charge=residuals.charge, motors=residuals.motors)
-    compared = not new.all()
+    base, compared = first.form, not new.all()
+    assert isinstance(base, BaseParameters)
     kinds: tuple[type[Form], ...] = (*NAMED, *(CHANGES if compared else ()), *UNNAMED)
     parameters = base.columns(rows)
     coverage = _coverage(residuals, parameters, new) if compared else None

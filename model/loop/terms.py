@@ -10,7 +10,7 @@ import numpy as np
 
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.loop.forms import Form
-from joulemap.model.loop.forms._base_parameters import with_base_parameters, with_forces
+from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters, with_forces
 from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.runs.features import SHARE_DRIVEN, Drives, Features, FloatArray, quantity, share_beyond
 
@@ -148,9 +148,10 @@ class Correction:
             energy of motion.
         """
         terms = self.planner_terms if planned else self.terms
-        held, first = (
-            rows.within({name: ends for name, ends in self.ranges.items() if name not in self.of_laws}),
-            self.first_base,
+        first = self.first_base
+        level = first is not None and isinstance(first.form, BaseParameters) and first.form.level
+        held = (rows.tilted(-rows.grade) if level else rows).within(
+            {name: ends for name, ends in self.ranges.items() if name not in self.of_laws}
         )
         if first is None:
             return _total(terms, held)
@@ -161,7 +162,7 @@ class Correction:
             total = _total(others, with_base_parameters(of, first.form, first.coefficients))
             return total if self.charge else total + of.predicted
 
-        added = _drawn(resisted) - (0.0 if self.charge else held.predicted)
+        added = _drawn(resisted) - (held.base_motion - rows.base_motion if self.charge else held.predicted)
         for form, size in ((t.form, np.asarray(t.coefficients)) for t in terms):
             if isinstance(form, LogFault):
                 added += form.simulated(resisted, size, _drawn)

@@ -359,7 +359,21 @@ class Features:
         Features
             With other slopes, to first order, and the base model's traction on them.
         """
-        more = np.nan_to_num(self.grade_east * east_m + self.grade_north * north_m)
+        return self.tilted(np.nan_to_num(self.grade_east * east_m + self.grade_north * north_m))
+
+    def tilted(self, more: FloatArray) -> Features:
+        """Return the rows on steeper ground.
+
+        Parameters
+        ----------
+        more : ndarray of float, (n,)
+            Tangent that is added to every slope.
+
+        Returns
+        -------
+        Features
+            With the base model's traction there, to first order.
+        """
         traction = self.traction_per_m + self.robot.weight_n * more
         return replace(self, grade=self.grade + more, grades=self.grades + more[:, None], traction_per_m=traction)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import joulemap
 from joulemap.model.energy.residuals_of_runs import keep_base_runs
 from joulemap.model.errors import InputError
 from joulemap.model.robot import Robot
@@ -301,6 +302,20 @@ def test_the_cost_of_the_ground_is_that_of_the_logs(wheels):
     else:  # on level ground the same, as a share of what the base parameters alone make of both grounds
         assert ground["unit"] == "of the motion's energy"
         assert -0.75 < ground["value"] < -0.3  # 6 of 8 (ice) to 20 A s/m (loam with its curves)
+
+
+@pytest.mark.parametrize("regeneration", [0.0, 0.4])
+def test_runs_on_level_ground_leave_what_slopes_cost(wheels, regeneration):
+    """Cost maps of planes up to 27 % steep: what is new is the same on every slope."""
+    robot = {"regeneration": regeneration, "max_grade_deg": 20.0}
+    more = []
+    for slope in (0.0, 0.04, 0.27):
+        ground = joulemap.heightmap(slope * np.arange(24.0)[::-1, None] * np.ones(24), resolution_m=1.0)
+        base, new = (joulemap.costmap(ground, robot, model=m).lattice for m in ("physics", wheels[2] / "model"))
+        up, down = (new.energy_per_m - base.energy_per_m)[12, 12, [0, 8]]
+        more += [up, down]
+    assert more[0] > 100.0  # `wheel_logs`: 4 to 7 A at 0.5 m/s and 24 V are 190 to 340 J/m, and a rover of 35 kg takes 55
+    np.testing.assert_allclose(more, more[0], rtol=1e-3)
 
 
 def test_wheel_speeds_stand_in_for_positions(wheels, tmp_path):

@@ -8,6 +8,7 @@ import pytest
 
 from joulemap.model.energy.metrics import errors_of
 from joulemap.model.errors import ModelError, RunsError
+from joulemap.model.loop.calibrate import calibrate
 from joulemap.model.loop.report import report_document
 from joulemap.model.runs.features import concatenate_features
 from joulemap.model.runs.record import RECORD_FILE, read_record, save_record
@@ -271,6 +272,29 @@ def test_one_direction_only_says_nothing_of_the_heading():
     rows = made_up(rng, heading=1.0)
     found = found_in(rows, noisy(rng, rows, 0.2 * rows.predicted))
     assert "learned:heading" not in [e.term.form.name for e in found.effects]
+
+
+@pytest.mark.parametrize("charge", [False, True])
+def test_level_runs_say_nothing_of_slopes(charge):
+    """A robot that needs twice the declared energy, on level ground: it may be heavier, or roll on softer ground. On a
+    slope of either direction the base model is left as it was, beside what was found."""
+    rng = np.random.default_rng(7)
+    rows = made_up(rng)
+    level = rows.tilted(-rows.grade)
+    energy = 2.0 * noisy(rng, level, EFFECTS["turning"](level)) / (24.0 if charge else 1.0)
+    units = replace(level, unit_j=24.0 if charge else 1.0)
+    found = calibrate(measured_on(units, energy, charge=charge), cross_validate=False)
+    assert [e.term.form.name for e in found.effects] == ["turning"]
+    assert not {"energy_of_motion", "descents", "uphill", "downhill", "measured_slope"} & set(found.fitted.base.by_name)
+    correction = found.fitted.correction
+    assert correction.drives.coasting_shift == 0.0
+    for tilt in (0.3, -0.3):  # beyond coasting
+        steep = units.tilted(np.full(len(units), tilt))
+        here, there = (
+            correction.added_energy(rows, planned=True) - charge * rows.base_motion for rows in (units, steep)
+        )
+        np.testing.assert_allclose(there, here, rtol=1e-9)
+    assert np.median(here) > 0.0
 
 
 def test_runs_beside_the_map_are_an_error_with_a_number():

@@ -41,9 +41,17 @@ class BaseParameters(Form):
         return np.array([PARTS[name].lowest(rows) for name in self.names])
 
     @classmethod
-    def of(cls, *, charge: bool, motors: bool = False) -> BaseParameters:
-        """All parameters of runs. charge : whether scale and zero are unknown. motors : whether it is the motors'."""
-        return cls((*(SCALE if charge else _DECLARED), *(_DRIVING_OF_MOTORS if motors else _DRIVING), MEASURED_SLOPE))
+    def of(cls, *, charge: bool, motors: bool = False, level: bool = False) -> BaseParameters:
+        """All parameters of runs. charge : whether scale and zero are unknown. motors : whether it is the motors'.
+        level : whether no run has a slope, which then costs what the base model says.
+        """
+        every = (*(SCALE if charge else _DECLARED), *(_DRIVING_OF_MOTORS if motors else _DRIVING), MEASURED_SLOPE)
+        return cls(tuple(name for name in every if not (level and name in _OF_SLOPE)))
+
+    @property
+    def level(self) -> bool:
+        """Whether they say nothing of slopes."""
+        return not set(_OF_SLOPE) & set(self.names)
 
 
 def with_base_parameters(rows: Features, base: Form, coefficients: Values) -> Features:
@@ -63,7 +71,7 @@ def with_forces(
 
     first : base parameters before any effect. value : those beside the effects. forces : what each costs rows.
     """
-    of_slope = value["uphill"] * rows.unit_j if "uphill" in value else 1.0 + value["energy_of_motion"]
+    of_slope = value["uphill"] * rows.unit_j if "uphill" in value else 1.0 + value.get("energy_of_motion", 0.0)
     per_tan = rows.weight_length * (of_slope + value.get(MEASURED_SLOPE, 0.0))
     added = np.zeros(len(rows)) + sum(rows.resistance_of(force, per_tan) for force in forces)
     return with_base_parameters(rows.resisted_by(added) if forces else rows, base, first), added
@@ -110,6 +118,8 @@ SCALE = ("per_metre", "uphill", "downhill", "standing_current")
 """Scale and zero of a charge."""
 MEASURED_SLOPE = "measured_slope"
 """What no plan knows."""
+_OF_SLOPE = ("energy_of_motion", "descents", "uphill", "downhill", MEASURED_SLOPE)
+"""On level ground rolling resistance, or charge per metre, is all of the energy of motion."""
 _OF_TIME = ("idle_power_w", "standing_current", "driving_power", "speeding_up", "slowing_down")
 _DECLARED = ("rolling_resistance", "energy_of_motion", "idle_power_w", "descents")
 _DRIVING = ("driving_power", "speeding_up", "slowing_down")
