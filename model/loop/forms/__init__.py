@@ -76,15 +76,17 @@ def form_from_dict(values: Mapping[str, Any]) -> Form:
     Raises
     ------
     ModelError
-        If this version does not know the form or a setting, or a setting is missing.
+        If this version does not know the form or a setting that is not off, or a setting is missing.
     """
     key = values.get("form")
     if key not in FORMS:
         raise ModelError(f"the model has an effect of the form {key!r}, which this version does not know")
-    given = {k: _as_tuple(v) for k, v in values.items() if k != "form"}
     known = {f.name for f in fields(FORMS[key])}
+    given = {k: _as_tuple(v) for k, v in values.items() if k != "form" and (k in known or v)}  # off: as without it
     needed = {f.name for f in fields(FORMS[key]) if f.default is MISSING}  # a model of before may lack a newer setting
-    if not needed <= set(given) <= known:
+    if unknown := sorted(set(given) - known):
+        raise ModelError(f"the effect {key!r} has settings that this version does not know: {unknown}. Calibrate again")
+    if not needed <= set(given):
         raise ModelError(f"the effect {key!r} needs the settings {sorted(known)}, got {sorted(given)}")
     return FORMS[key](**given)
 

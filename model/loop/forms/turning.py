@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from joulemap.model.energy.drive_costs import easing
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
@@ -13,7 +12,7 @@ from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 @dataclass(frozen=True)
 class Turning(Form):
-    """Turning to either side, up to a rate or a curvature at which scrubbing saturates, or less the faster it drives.
+    """Turning to either side, up to a rate or a curvature at which scrubbing saturates.
 
     Attributes
     ----------
@@ -22,8 +21,6 @@ class Turning(Form):
         costs the same.
     limit_per_m : float, optional
         Curvature above which a tighter turn takes no more current from motors [rad/m].
-    eases : bool
-        Whether a radian costs less at speed (`easing`). It is stated at cruising speed.
 
     References
     ----------
@@ -32,7 +29,6 @@ class Turning(Form):
 
     limit_radps: float | None = None
     limit_per_m: float | None = None
-    eases: bool = False
 
     key = "turning"
     label = "turning"
@@ -49,15 +45,12 @@ class Turning(Form):
     def column(self, rows: Features) -> FloatArray:
         if self.limit_radps is not None:
             return rows.gentle_turn_rad[:, TURN_LIMITS_RADPS.index(self.limit_radps)]
-        if self.eases:
-            return rows.turned_abs_rad * easing(rows.speed_mps, rows.robot.speed_mps)
         return rows.slowness * rows.turned_up_to(self.limit_per_m)
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
         if rows.drives.motor_speed_mps is None:
             yield cls()
-            yield cls(eases=True)
             yield from (cls(limit) for limit in TURN_LIMITS_RADPS)
         else:
             yield from (cls(limit_per_m=round(share * rows.pivot_per_m, 6)) for share in (1.0, 0.5, 2.0))
@@ -69,6 +62,4 @@ class Turning(Form):
             )
         if self.limit_per_m is not None:
             return f"everywhere; a curve of a radius below {1.0 / self.limit_per_m:.2g} m takes no more current"
-        if self.eases:
-            return f"everywhere, at cruising speed; on the spot {float(easing(0.0, 1.0)):.2g} times as much"
         return "everywhere"
