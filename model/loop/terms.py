@@ -210,13 +210,15 @@ def turning_per_rad(terms: Sequence[Term], rows: Features) -> float:
     Returns
     -------
     float
-        Cost [J/rad, or A s/rad]: the slope of the energy of turning over the angle that each row turned, in least
-        squares. Turns beyond the driven range, such as one on the spot whose peak of power a log may not show, are left
+        Cost [J/rad, or A s/rad]: the slope of the energy of turning, beyond that of the same rows without a turn, over
+        the angle that each row turned, in least squares. Turns beyond the driven range, such as one on the spot whose peak of power a log may not show, are left
         out.
     """
     moving = rows.take(~rows.standing)
     rows = moving.take(moving.turned_abs_rad <= np.quantile(moving.turned_abs_rad, 1.0 - SHARE_DRIVEN))
     turned = rows.turned_abs_rad
     rows = replace(rows, drives=replace(rows.drives, motor_speed_mps=None))
-    energy = _total([t for t in terms if t.form.name == "turning"], rows)
+    straight = replace(rows, turned_abs_rad=0.0 * turned, gentle_turn_rad=0.0 * rows.gentle_turn_rad)
+    of_turning = [t for t in terms if t.form.name == "turning"]
+    energy = _total(of_turning, rows) - _total(of_turning, straight)  # a curve may be nil at another turn
     return float(turned @ energy) / max(float(turned @ turned), 1e-12)

@@ -19,7 +19,7 @@ _OF_POSITION = frozenset(
 """Logged columns that are angles, or say again where and how fast the robot is."""
 _NAMED = {
     **{key: key for key in ("turning", "speed", "cross_slope", "roughness")},
-    "turn": "turning",
+    "turn": "turning_to_one_side",
     **{f"column:{key}": key for key in ("temperature", "payload")},
 }
 """Covariates whose effect has a name, whatever its form."""
@@ -46,12 +46,15 @@ class Curve(Form):
         `length` for energy per metre, `time` for power, `all` for a share of the prediction.
     centred : bool
         Whether it is nil at its middle knot; otherwise runs without the effect say where it is nil.
+    odd : bool
+        Whether it is the difference between both signs of the covariate: nil at 0, and opposite at opposite values.
     """
 
     over: str
     knots: tuple[float, ...]
     of: str = "length"
     centred: bool = True
+    odd: bool = False
 
     key = "curve"
     resists = True
@@ -79,6 +82,10 @@ class Curve(Form):
         return (self.over,)
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        return ("turning",) if self.odd else ()
+
+    @property
     def known_before(self) -> bool:
         if self.over.startswith("column:"):
             return self.over in _FORECAST
@@ -101,7 +108,11 @@ class Curve(Form):
         values = quantity(rows, self.over)
         values = np.where(np.isfinite(values), values, self.knots[len(self.knots) // 2])
         period = 2.0 * math.pi if self.over == "heading" else None
-        hats = [np.interp(values, self.knots, np.eye(len(self.knots))[k], period=period) for k in self._kept()]
+        at = (0.0, *self.knots) if self.odd else self.knots
+        hats = [
+            np.interp(values, at, hat, period=period) - (np.interp(-values, at, hat) if self.odd else 0.0)
+            for hat in np.eye(len(at))[-len(self.knots) :][self._kept()]
+        ]
         driven = rows.work_m * rows.pulling if self.over in _DRAGGING else rows.work_m
         amount = {"length": driven, "time": rows.duration_s, "all": rows.hotel_and_motion}[self.of]
         return np.nan_to_num(np.stack(hats, axis=1) * amount[:, None])
@@ -113,12 +124,16 @@ class Curve(Form):
             yield cls("heading", tuple(round(2.0 * math.pi * k / count, 6) for k in range(count)))
         logged = (f"column:{key}" for key in moving.columns if key not in _OF_POSITION)
         for over in (*_GEOMETRY, *logged):
-            for knots in sorted({steps(quantity(moving, over), count) for count in _KNOTS}, key=len):
-                if len(knots) > 1:
+            odd, values = over == "turn", quantity(moving, over)
+            for knots in sorted({steps(np.abs(values) if odd else values, count) for count in _KNOTS}, key=len):
+                if odd and len(knots) > 1:
+                    yield cls(over, knots[1:], centred=False, odd=True)
+                elif len(knots) > 1:
                     yield from (cls(over, knots, of) for of in (("length", "time") if ":" in over else ("length",)))
 
     def where(self, coefficients: tuple[float, ...]) -> str:
-        return f"between {self.knots[0]:.4g} and {self.knots[-1]:.4g}" if self.over != "heading" else "everywhere"
+        ends = f"between {self.knots[0]:.4g} and {self.knots[-1]:.4g}" if self.over != "heading" else "everywhere"
+        return ends + ("; to the left as much less" if self.odd else "")
 
 
 @dataclass(frozen=True)
