@@ -38,6 +38,8 @@ class Calibration:
         Logged columns that no effect may depend on, and why.
     folds : int
         How often the whole procedure was repeated.
+    test_errors : dict of str to dict, optional
+        As `errors`, on the test runs.
     """
 
     fitted: Fitted
@@ -47,6 +49,24 @@ class Calibration:
     held_out: dict[str, FloatArray] = field(repr=False)
     refused: dict[str, str]
     folds: int
+    test_errors: dict[str, dict[str, Any]] | None = None
+
+    def confirmed(self, state: str = "after") -> bool | None:
+        """Return whether left-out and test runs are predicted better than before; if not, nobody should change models.
+
+        Parameters
+        ----------
+        state : {"after", "after_planner"}
+            With the log of a run, or with what a plan knows too.
+
+        Returns
+        -------
+        bool or None
+            By the root mean square error; None where every run had a part in the calibration.
+        """
+        judged = [errors for errors in (self.errors, self.test_errors) if errors is not None]
+        better = all(errors[s]["rmse"] < errors["before"]["rmse"] for errors in judged for s in {"after", state})
+        return None if better and not self.folds and self.test_errors is None else better
 
     @property
     def rivals(self) -> dict[str, list[str]]:
@@ -82,6 +102,7 @@ def calibrate(
     *,
     electric: Mapping[str, FloatArray] | None = None,
     base: Residuals | None = None,
+    test: Residuals | None = None,
     groups: Sequence[str] | None = None,
     cross_validate: bool = True,
     progress: Callable[[float], None] | None = None,
@@ -96,6 +117,8 @@ def calibrate(
         Mean voltage, current and power of each row, (n,), which no effect may copy.
     base : Residuals, optional
         Of the baseline runs: what they show as well is not new.
+    test : Residuals, optional
+        Of test runs, which are predicted only.
     groups : sequence of str, optional
         Of each run, such as its day: groups are left out together. Without it every run is a group.
     cross_validate : bool
@@ -133,4 +156,5 @@ def calibrate(
             for key, energy in fit(kept, new[fold != k]).states(left_out).items():
                 held[key][own_fold == k] = energy
     errors = {key: errors_of(measured, energy) for key, energy in held.items()}
-    return Calibration(fitted, measured, base, errors, held, refused, count)
+    found = Calibration(fitted, measured, base, errors, held, refused, count)
+    return found if test is None else replace(found, test_errors=found.errors_on(test))

@@ -33,8 +33,8 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
     dict
         JSON-able. `base_parameters` are what the runs say of the declared values. `effects` are the missing effects.
         `error` has the states before, corrected (with the base parameters), after, and after_planner (with what is
-        known before a drive), each of procedures that had no part of the run; `validation` says of which. `variation`
-        is what no effect explains.
+        known before a drive), each of procedures that had no part of the run; `validation` says of which. `confirmed`
+        is as `Calibration.confirmed`. `variation` is what no effect explains.
     """
     fitted, moving = found.fitted, found.residuals.moving
     segments = int(moving.sum())
@@ -51,6 +51,8 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
         },
         "baseline_runs": found.baseline is not None,
         "error": dict(found.errors),
+        "confirmed": found.confirmed(),
+        "confirmed_in_plans": found.confirmed("after_planner"),
         "base_parameters": _base_parameters(found),
         "effects": [_effect(found, e) for e in found.effects],
         "variation": {

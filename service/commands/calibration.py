@@ -272,15 +272,7 @@ def _next_steps(document: Mapping[str, Any], out: Path, asked: _Asked, robot: Ro
     """What to type after a calibration."""
     from joulemap.service.loop.next_words import NextStep, likeliest
 
-    made = out.with_name("after.zarr")
-    words = ["joulemap", "costmap", *asked.ground_words(document, robot), "--model", str(out / "model")]
-    words += ["--out", str(made)]
-    steps = [NextStep("Make a cost map with the calibrated model", shlex.join(words))]
-    task = document["route"].get("task", {"start": None, "goal": None})
-    ends = (task[end] and f"{task[end][0]:.1f},{task[end][1]:.1f}" for end in ("start", "goal"))
-    start, goal = (place or "X,Y" for place in ends)
-    words = ["joulemap", "path", str(made), "--start", start, "--goal", goal]
-    steps.append(NextStep("Plan a path on it", shlex.join(words)))
+    steps = [] if document["confirmed_in_plans"] is False else _plan_with(document, out, asked, robot)
     words = ["joulemap", "suggest-drive", *asked.words()]
     if document["effects"]:
         steps.append(NextStep("Get the drive that would make the answer more certain", shlex.join(words)))
@@ -289,6 +281,21 @@ def _next_steps(document: Mapping[str, Any], out: Path, asked: _Asked, robot: Ro
         purpose = f"Get a drive that would show whether there is an effect of {effect}"
         steps.append(NextStep(purpose, shlex.join([*words, "--effect", effect])))
     return steps
+
+
+def _plan_with(document: Mapping[str, Any], out: Path, asked: _Asked, robot: Robot) -> list[NextStep]:
+    """What to type to plan with the calibrated model."""
+    from joulemap.service.loop.next_words import NextStep
+
+    made = out.with_name("after.zarr")
+    words = ["joulemap", "costmap", *asked.ground_words(document, robot), "--model", str(out / "model")]
+    words += ["--out", str(made)]
+    steps = [NextStep("Make a cost map with the calibrated model", shlex.join(words))]
+    task = document["route"].get("task", {"start": None, "goal": None})
+    ends = (task[end] and f"{task[end][0]:.1f},{task[end][1]:.1f}" for end in ("start", "goal"))
+    start, goal = (place or "X,Y" for place in ends)
+    words = ["joulemap", "path", str(made), "--start", start, "--goal", goal]
+    return [*steps, NextStep("Plan a path on it", shlex.join(words))]
 
 
 def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[NextStep]) -> None:

@@ -127,6 +127,7 @@ def calibrate_on_runs(
         measured.residuals,
         electric=measured.electric,
         base=measured.baseline,
+        test=measured.test,
         groups=groups,
         cross_validate=cross_validate,
         progress=_part(progress, _READ, _CALIBRATED),
@@ -136,7 +137,9 @@ def calibrate_on_runs(
     after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
     ground = measured.main.heightmap
     routes, why_not = None, "the runs have no positions"
-    if runs.placed:
+    if found.confirmed("after_planner") is False:
+        why_not = "the calibrated model is not confirmed for plans"
+    elif runs.placed:
         try:
             routes = compare_routes(
                 ground,
@@ -156,7 +159,7 @@ def calibrate_on_runs(
     report |= _turning(found, predictor, runs.robot, correction) | _runs(runs, measured)
     report |= _route(routes, why_not, runs)
     if measured.test is not None:
-        report["test_set"] = {"segments": int(measured.test.moving.sum()), "error": found.errors_on(measured.test)}
+        report["test_set"] = {"segments": int(measured.test.moving.sum()), "error": found.test_errors}
     report["next_drive"] = _next_drive(found, predictor, ground, runs, seed)
     report["warnings"] = after.warnings(ground, runs.robot)
     begun.rename(target)

@@ -103,17 +103,39 @@ def error_words(document: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def advice(document: Mapping[str, Any]) -> str:
+    """Return whether to keep the model before.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    str
+        A sentence; empty where the calibrated model is confirmed, or where a quick calibration does not say.
+    """
+    for key, where in (("confirmed", ""), ("confirmed_in_plans", " for plans")):
+        if document.get(key) is False:
+            return f"Not confirmed{where}: keep the model that you have."
+    return ""
+
+
 def _worse_words(document: Mapping[str, Any]) -> list[str]:
-    """A warning where other runs are predicted worse than before."""
-    error = (document.get("test_set") or document)["error"]
-    before, after = error["before"]["rmse"], error["after"]["rmse"]
-    if after <= before:
+    """A warning where other runs are predicted no better than before."""
+    if not (words := advice(document)):
         return []
-    sizes = f"{number_words(after)} against {number_words(before)} {unit_of(document)}"
+    state = "after" if document["confirmed"] is False else "after_planner"
+    judged = [part["error"] for part in (document.get("test_set"), document) if part]
+    sizes = ", and ".join(
+        f"{number_words(error[state]['rmse'])} against {number_words(error['before']['rmse'])} {unit_of(document)}"
+        for error in judged
+    )
     return [
-        f"WARNING: the calibrated model errs more than the model before ({sizes} root mean square). These runs are too "
-        "few to correct that model: keep it, or calibrate on more runs. If it was trained on these very runs, its "
-        "error on other runs is larger than stated here."
+        f"WARNING: {words} The calibrated model errs no less than the model before ({sizes} root mean square). Calibrate "
+        "on more runs. If the model before was trained on these very runs, its error on other runs is larger than stated "
+        "here."
     ]
 
 

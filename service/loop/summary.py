@@ -8,7 +8,7 @@ from typing import Any
 from joulemap.model.runs.words import number_words, quantity_name, quantity_value
 from joulemap.service.loop.base_words import base_words
 from joulemap.service.loop.effect_words import confounded_words, found_words
-from joulemap.service.loop.error_words import error_words, site_words, variation_words
+from joulemap.service.loop.error_words import advice, error_words, site_words, variation_words
 
 _SAID_RANGES = ("speed", "grade", "turning")  # in sentences; the report's table has all
 
@@ -24,10 +24,11 @@ def headline(document: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        Names of the effects found.
+        Names of the effects found, and whether to keep the model before.
     """
     names = ", ".join(effect["label"] for effect in document["effects"])
-    return f"Found: {names}" if names else "No missing effect was found"
+    found = f"Found: {names}" if names else "No missing effect was found"
+    return f"{found}. {words}" if (words := advice(document)) else found
 
 
 def summary_lines(document: Mapping[str, Any]) -> list[str]:

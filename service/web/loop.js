@@ -95,9 +95,11 @@ const line = (points, words, style) => L.polyline(points.map(leaf), { pane: "run
 /** What a calibration found, and what to do with it. */
 async function open(made) {
   const report = made.report, unit = report.target === "charge_as" ? "A s" : "J", route = report.route?.before ? report.route : null, drive = report.next_drive?.points ? report.next_drive : null;
+  const advice = report.confirmed === false ? "Not confirmed" : report.confirmed_in_plans === false ? "Not confirmed for plans" : "";
   drawn.clearLayers();
   fill(by("found"),
     h2(report.effects.length ? `Found: ${report.effects.map(one => one.label).join(", ")}` : "No missing effect was found"),
+    advice ? warn(`${advice}: keep the model that you have.`) : null,
     report.effects.map(one => make("div", { class: "verdict likely" }, make("b", {}, one.label), one.meaning, make("br"), one.form === "curve" ? "" : one.coefficients.map(each => interval(each, one.coefficients.length === 1)).join("; "), ` · ${sure(one.p_value)} · explains ${percent(one.share_of_residual_variance)} of what the model missed`)),
     h3("Error per metre"),
     table([["", "mean relative", `RMSE [${unit}/m]`], ...Object.entries(STATES).filter(([state]) => report.error[state]).map(([state, name]) => [name, percent(report.error[state].mean_relative, 1), number(report.error[state].rmse, 1)])], "Error before and after"),
@@ -105,7 +107,7 @@ async function open(made) {
     note(`${number(report.segments.fit, 0)} segments; left out: ${counted(report.runs.left_out)}`),
     report.confounded.map(([name, ...rivals]) => warn(`These runs cannot distinguish ${words(name)} from ${rivals.map(words).join(", ")}.`)),
     make("div", { class: "row" },
-      made.calibrated_model ? button({ class: "main", id: "use-model", onclick: () => again(made.calibrated_model) }, "Cost map with this model") : null,
+      made.calibrated_model && !advice ? button({ class: "main", id: "use-model", onclick: () => again(made.calibrated_model) }, "Cost map with this model") : null,
       make("a", { class: "button", href: `v1/calibrations/${made.id}/report.html`, target: "_blank", rel: "noopener" }, "Whole report")),
     route ? make("div", {}, h3("What changes on a route"), make("p", {}, `By the calibrated model the way before costs ${energy(route.before.energy_j)} over ${metres(route.before.length_m)}; the new way costs ${energy(route.after.energy_j)} over ${metres(route.after.length_m)}.`)) : null,
     drive ? make("div", {}, h3("What to drive next"), make("p", {}, `${drive.kind}, ${metres(drive.total_length_m)} in all, at ${drive.speeds_mps.map(speed => number(speed, 2)).join(" and ")} m/s: it measures ${drive.label} more precisely${drive.expected_interval_share ? `; its interval shrinks to ${percent(drive.expected_interval_share)}` : ""}.`), drive.placed ? routeButtons("next-drive", format => [`v1/calibrations/${made.id}/next-drive?format=${format}`]) : null) : null,

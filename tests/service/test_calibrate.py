@@ -294,6 +294,27 @@ def wheels(tmp_path_factory):
     return options, done.output, folder / "out"
 
 
+def test_a_model_that_is_not_confirmed_is_not_proposed(tmp_path):
+    """Four runs whose currents have nothing to do with each other: the others say nothing of the one that is left out."""
+    rng = np.random.default_rng(3)
+    for number, amps in enumerate((3.0, 24.0, 6.0, 12.0)):
+        rows = zip(np.arange(300) / 6.5, amps * (1.0 + 0.1 * rng.standard_normal(300)), strict=True)
+        lines = ["time,curL,curR,velL,velR", *(f"{t},{current / 2},{-current / 2},0.5,0.5" for t, current in rows)]
+        (tmp_path / f"run_{number}.csv").write_text("\n".join(lines))
+    out = tmp_path / "out"
+    options = ["--odometry", "1.0", "--model", "physics", "--runs", str(tmp_path), "--out", str(out)]
+    done = runner.invoke(app, ["calibrate", *options])
+    assert done.exit_code == 0, done.output
+    report = json.loads((out / "report.json").read_text())
+    assert report["error"]["after"]["rmse"] >= report["error"]["before"]["rmse"]
+    assert (report["confirmed"], report["confirmed_in_plans"]) == (False, False)
+    assert report["route"] == {"why_not": "the calibrated model is not confirmed for plans"}
+    for said in (done.output, (out / "report.html").read_text()):
+        assert "Not confirmed: keep the model that you have" in shown(said)
+        assert "joulemap costmap" not in said
+        assert "joulemap path" not in said
+
+
 def test_the_cost_of_the_ground_is_that_of_the_logs(wheels):
     report = json.loads((wheels[2] / "report.json").read_text())
     ground = next(e for e in report["effects"] if e["name"] == "terrain_class")["coefficients"][0]

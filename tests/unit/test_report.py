@@ -188,14 +188,38 @@ def test_test_runs_come_first(turning):
     assert second.startswith("Errors on runs that had no part")
 
 
-def test_a_calibration_that_makes_predictions_worse_is_warned_of(turning):
-    assert not any("errs more" in line for line in error_words(turning.document))
-    worse = turning.document | {"error": errors(SIZES)}
-    worse["error"]["before"] |= {"rmse": 310.0}
-    worse["error"]["after"] |= {"rmse": 422.0}
-    said = next(line for line in error_words(worse) if line.startswith("WARNING"))
-    assert "(422 against 310 J root mean square)" in said
-    assert "keep it, or calibrate on more runs" in said
+@pytest.mark.parametrize(
+    ("sizes", "folds", "test", "confirmed", "in_plans"),
+    [
+        ({}, 4, None, True, True),
+        ({}, 0, None, None, None),
+        ({}, 0, {}, True, True),
+        ({"after": 0.13}, 4, None, False, False),
+        ({"after": 0.13}, 0, None, False, False),
+        ({"after_planner": 0.13}, 4, None, True, False),
+        ({"after": 0.124, "after_planner": 0.124}, 4, None, False, False),  # as good is not better
+        ({}, 4, {"after": 0.13}, False, False),
+        ({}, 4, {"after_planner": 0.13}, True, False),
+    ],
+)
+def test_a_model_is_confirmed_where_runs_that_had_no_part_are_predicted_better(
+    turning, sizes, folds, test, confirmed, in_plans
+):
+    judged = {"errors": errors(SIZES | sizes), "test_errors": None if test is None else errors(SIZES | test)}
+    document = report_document(replace(turning.found, folds=folds, **judged), before=BEFORE, after="2")
+    assert (document["confirmed"], document["confirmed_in_plans"]) == (confirmed, in_plans)
+
+
+@pytest.mark.parametrize(("state", "said"), [("confirmed", "Not confirmed: "), ("confirmed_in_plans", "Not confirmed for")])
+def test_a_model_that_is_not_confirmed_is_not_to_be_used(turning, state, said):
+    assert "keep the model" not in " ".join(summary_lines(turning.document))
+    worse = turning.document | {"error": errors(SIZES | {"after": 0.2, "after_planner": 0.3}), state: False}
+    made = Calibrated(worse, turning.found, None, LEVEL)
+    assert headline(worse).startswith(f"Found: turning. {said}")
+    assert headline(worse).endswith("keep the model that you have.")
+    warning = next(line for line in error_words(worse) if line.startswith("WARNING"))
+    assert f"({20 if state == 'confirmed' else 30} against 12.4 J root mean square)" in warning
+    assert headline(worse) in shown(report_page(made))
 
 
 def test_errors_of_the_fit_are_said_to_be_that(nothing):
