@@ -270,9 +270,10 @@ class _Asked:
 
 def _next_steps(document: Mapping[str, Any], out: Path, asked: _Asked, robot: Robot) -> list[NextStep]:
     """What to type after a calibration."""
+    from joulemap.service.loop.error_words import advice
     from joulemap.service.loop.next_words import NextStep, likeliest
 
-    steps = [] if document["confirmed_in_plans"] is False else _plan_with(document, out, asked, robot)
+    steps = [] if advice(document) else _plan_with(document, out, asked, robot)
     words = ["joulemap", "suggest-drive", *asked.words()]
     if document["effects"]:
         steps.append(NextStep("Get the drive that would make the answer more certain", shlex.join(words)))

@@ -18,6 +18,7 @@ from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
+from joulemap.service.loop.error_words import advice
 from joulemap.service.loop.next_words import NextStep
 from joulemap.service.loop.report_page import report_page
 from joulemap.service.loop.segments_document import segments_document
@@ -133,7 +134,7 @@ def main(out: Path, topic: str) -> None:
         sys.exit(1)
     (out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
     (out / SEGMENTS).write_text(json.dumps(segments_document(made.found), allow_nan=False), encoding="utf-8")
-    steps = [NextStep("Make a cost map with the calibrated model", order["next"])]
+    steps = [] if advice(made.document) else [NextStep("Make a cost map with the calibrated model", order["next"])]
     (out / PAGE).write_text(report_page(made, steps=steps), encoding="utf-8")
 
 

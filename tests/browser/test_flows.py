@@ -124,6 +124,19 @@ def test_the_loop(browser: Any, address: str, calibrated_on: str, tmp_path: Path
                 report.emulate_media(color_scheme=look)
                 assert not inaccessible(report), (viewport, look)
         report.close()
+
+        def _no_better(route: Any) -> None:
+            answer = route.fetch()
+            made = answer.json()
+            made["report"]["confirmed_in_plans"] = False
+            route.fulfill(response=answer, json=made)
+
+        tab.page.route("**/v1/calibrations/cal-*", _no_better)
+        tab.page.click("#calibrations button")
+        tab.page.wait_for_selector("#found :text('Not confirmed for plans: keep the model that you have.')")
+        assert tab.page.query_selector("#use-model") is None
+        tab.page.unroute("**/v1/calibrations/cal-*")
+        tab.page.click("#calibrations button")
         tab.page.click("#use-model")
         tab.page.wait_for_function("() => joulemap.now.before !== null", timeout=60_000)
         tab.page.wait_for_function("before => joulemap.now.answer?.energy_j > before", arg=before)  # turns cost

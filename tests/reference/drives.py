@@ -134,3 +134,14 @@ def wheel_logs(runs=8) -> dict[str, str]:
         lines = ["time,curL,curR,velL,velR", *(",".join(map(str, row)) for row in rows)]
         logs[f"{ground}_{number:02d}.csv"] = "\n".join(lines)
     return logs
+
+
+def unlike_logs() -> dict[str, str]:
+    """Logs as those of `wheel_logs`, straight on at one speed, of four runs whose currents have nothing in common."""
+    rng = np.random.default_rng(3)
+    logs = {}
+    for number, amps in enumerate((3.0, 24.0, 6.0, 12.0)):
+        drawn = amps * (1.0 + 0.1 * rng.standard_normal(300))
+        lines = (f"{k / 6.5},{current / 2},{-current / 2},0.5,0.5" for k, current in enumerate(drawn))
+        logs[f"run_{number}.csv"] = "\n".join(["time,curL,curR,velL,velR", *lines])
+    return logs

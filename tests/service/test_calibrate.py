@@ -5,6 +5,7 @@ import re
 import shlex
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -20,7 +21,7 @@ from joulemap.service.cli import app
 from joulemap.service.library.costmaps import open_costmap
 from joulemap.service.loop.effect_words import coefficient_words
 from joulemap.service.models import load_model, planning_robot
-from tests.reference.drives import wheel_logs
+from tests.reference.drives import unlike_logs, wheel_logs
 from tests.reference.words import PRIVATE, shown
 
 runner = CliRunner()
@@ -294,13 +295,34 @@ def wheels(tmp_path_factory):
     return options, done.output, folder / "out"
 
 
+def test_turning_that_costs_on_one_side_only_is_in_plans(field, tmp_path):
+    """Each radian to the right takes 300 J. A plan, which knows no side, pays for a turn to either side."""
+    for file in field.glob("run_*.csv"):
+        log = pd.read_csv(file)
+        heading = np.unwrap(np.radians(log["heading"].ffill()))
+        rate = np.zeros(len(log))
+        rate[10:-10] = (heading[20:] - heading[:-20]) / (log["t"].to_numpy()[20:] - log["t"].to_numpy()[:-20])
+        power = 300.0 * np.clip(rate, 0.0, 2.0)
+        log["current"] += (power / log["voltage"].where(log["voltage"] > 1.0)).fillna(0.0)
+        log.to_csv(tmp_path / file.name, index=False)
+    options = ["--model", "physics", "--heightmap", str(field / "dem.tif"), "--robot", str(field / "robot.toml")]
+    options += ["--runs", str(tmp_path), "--out", str(tmp_path / "out"), "--quick"]
+    done = runner.invoke(app, ["calibrate", *options])
+    assert done.exit_code == 0, done.output
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    in_plans = {effect["name"]: effect["in_plans"] for effect in report["effects"]}
+    assert in_plans.items() >= {"turning": True, "turning_to_one_side": False}.items()
+    ground = joulemap.heightmap(np.zeros((24, 24)), resolution_m=1.0)
+    costs = joulemap.costmap(ground, field / "robot.toml", model=tmp_path / "out" / "model")
+    straight = costs.feasibility([(2.5, 12.5), (8.5, 12.5), (14.5, 12.5)]).energy_j
+    bent = costs.feasibility([(2.5, 12.5), (8.5, 12.5), (8.5, 6.5)]).energy_j
+    assert 150.0 < (bent - straight) / (np.pi / 2.0) < 300.0  # the runs turn more to the right
+
+
 def test_a_model_that_is_not_confirmed_is_not_proposed(tmp_path):
-    """Four runs whose currents have nothing to do with each other: the others say nothing of the one that is left out."""
-    rng = np.random.default_rng(3)
-    for number, amps in enumerate((3.0, 24.0, 6.0, 12.0)):
-        rows = zip(np.arange(300) / 6.5, amps * (1.0 + 0.1 * rng.standard_normal(300)), strict=True)
-        lines = ["time,curL,curR,velL,velR", *(f"{t},{current / 2},{-current / 2},0.5,0.5" for t, current in rows)]
-        (tmp_path / f"run_{number}.csv").write_text("\n".join(lines))
+    """Of four runs that have nothing in common, three say nothing of the one that is left out."""
+    for name, log in unlike_logs().items():
+        (tmp_path / name).write_text(log)
     out = tmp_path / "out"
     options = ["--odometry", "1.0", "--model", "physics", "--runs", str(tmp_path), "--out", str(out)]
     done = runner.invoke(app, ["calibrate", *options])
