@@ -41,8 +41,6 @@ class Suggestion:
         Its corners [m].
     kind : str
         Its shape in words.
-    effect : str
-        Whose coefficient it measures.
     speeds : tuple of float
         To drive it at, round by round [m/s].
     shrinkage : float
@@ -53,7 +51,6 @@ class Suggestion:
 
     points: FloatArray
     kind: str
-    effect: str
     speeds: tuple[float, ...]
     shrinkage: float
     length_m: float
@@ -118,7 +115,7 @@ def suggest_drive(
             then = _spread(old + _information(rows, [effect, *rivals], np.maximum(rows.predicted, usual)), count)
             if best is None or then / now < best.shrinkage:
                 length = float(np.hypot(*np.diff(points, axis=0).T).sum())
-                best = Suggestion(points, kind + pace, effect.name, speeds, then / now, length)
+                best = Suggestion(points, kind + pace, speeds, then / now, length)
     if best is None:
         raise InfeasibleError(f"no route of {length_m:g} m fits on the known ground of this map", length_m=length_m)
     return best

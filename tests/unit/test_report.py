@@ -426,7 +426,7 @@ def suggested(monkeypatch):
 
     def suggest(residuals, effect, beside, heightmap, robot, traction, *, length_m, seed):
         asked.append((effect.title, [form.title for form in beside]))
-        return Suggestion(np.zeros((2, 2)), "a square", effect.name, (0.5,), 0.4, 40.0)
+        return Suggestion(np.zeros((2, 2)), "a square", (0.5,), 0.4, 40.0)
 
     monkeypatch.setattr("joulemap.service.loop.next_drive.suggest_drive", suggest)
     return asked
@@ -438,7 +438,7 @@ def drive_for(found, effect=None):
 
 @pytest.mark.parametrize(("share", "suggested"), [(0.4, True), (0.95, True), (0.96, False), (1.0, False)])
 def test_a_drive_that_would_hardly_narrow_the_interval_is_not_suggested(share, suggested, monkeypatch):
-    drive = Suggestion(np.zeros((2, 2)), "a square", "lag", (0.5,), share, 40.0)
+    drive = Suggestion(np.zeros((2, 2)), "a square", (0.5,), share, 40.0)
     found = NextDrive(drive, MeterLag(), (), 200.0, placed=True)
     monkeypatch.setattr(calibration, "next_drive", lambda *_, **__: found)
     answer = calibration._next_drive(None, None, None, SimpleNamespace(robot=ROBOT, placed=True), 0)
