@@ -210,9 +210,9 @@ def turning_per_rad(terms: Sequence[Term], rows: Features) -> float:
     Returns
     -------
     float
-        Cost [J/rad, or A s/rad]: the slope of the energy of turning, beyond that of the same rows without a turn, over
-        the angle that each row turned, in least squares. Turns beyond the driven range, such as one on the spot whose peak of power a log may not show, are left
-        out.
+        Cost [J/rad, or A s/rad]: the slope of the energy of turning, beyond that of going straight on, over the angle
+        that each row turned, in least squares. Turns beyond the driven range are left out: a log may not show the peak
+        of power of one on the spot.
     """
     moving = rows.take(~rows.standing)
     rows = moving.take(moving.turned_abs_rad <= np.quantile(moving.turned_abs_rad, 1.0 - SHARE_DRIVEN))

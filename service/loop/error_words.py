@@ -133,9 +133,9 @@ def _worse_words(document: Mapping[str, Any]) -> list[str]:
         for error in judged
     )
     return [
-        f"WARNING: {words} The calibrated model errs no less than the model before ({sizes} root mean square). Calibrate "
-        "on more runs. If the model before was trained on these very runs, its error on other runs is larger than stated "
-        "here."
+        f"WARNING: {words} The calibrated model errs no less than the model before ({sizes} root mean square). "
+        "Calibrate on more runs. If the model before was trained on these very runs, its error on other runs is larger "
+        "than stated here."
     ]
 
 

@@ -357,7 +357,9 @@ def test_runs_on_level_ground_leave_what_slopes_cost(wheels, regeneration):
         base, new = (joulemap.costmap(ground, robot, model=m).lattice for m in ("physics", wheels[2] / "model"))
         up, down = (new.energy_per_m - base.energy_per_m)[12, 12, [0, 8]]
         more += [up, down]
-    assert more[0] > 100.0  # `wheel_logs`: 4 to 7 A at 0.5 m/s and 24 V are 190 to 340 J/m, and a rover of 35 kg takes 55
+    assert (
+        more[0] > 100.0
+    )  # `wheel_logs`: 4 to 7 A at 0.5 m/s and 24 V are 190 to 340 J/m, and a rover of 35 kg takes 55
     np.testing.assert_allclose(more, more[0], rtol=1e-3)
 
 

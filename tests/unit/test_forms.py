@@ -299,7 +299,7 @@ def test_a_model_of_a_version_in_which_turning_eased_with_speed_is_read_where_it
 
 
 def test_no_form_of_turning_depends_on_the_speed():
-    """A radian at half the speed takes twice the time: with few runs that is another effect than what a radian takes."""
+    """What a radian takes at another speed is for a curve over the speed to say."""
     rows = made_up(np.random.default_rng(5))
     slow = replace(rows, duration_s=2.0 * rows.duration_s, gentle_turn_rad=rows.gentle_turn_rad)
     for form in Turning.variants(rows):

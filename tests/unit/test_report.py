@@ -210,7 +210,9 @@ def test_a_model_is_confirmed_where_runs_that_had_no_part_are_predicted_better(
     assert (document["confirmed"], document["confirmed_in_plans"]) == (confirmed, in_plans)
 
 
-@pytest.mark.parametrize(("state", "said"), [("confirmed", "Not confirmed: "), ("confirmed_in_plans", "Not confirmed for")])
+@pytest.mark.parametrize(
+    ("state", "said"), [("confirmed", "Not confirmed: "), ("confirmed_in_plans", "Not confirmed for")]
+)
 def test_a_model_that_is_not_confirmed_is_not_to_be_used(turning, state, said):
     assert "keep the model" not in " ".join(summary_lines(turning.document))
     worse = turning.document | {"error": errors(SIZES | {"after": 0.2, "after_planner": 0.3}), state: False}
