@@ -73,6 +73,7 @@ ROBOT = {
     "rolling_resistance": Range(0.0, 2.0),
     "regeneration": Range(0.0, 0.99),
     "turn_j_per_rad": Range(0.0, 1e5),
+    "tracking_std_m": Range(0.0, 10.0),
 }
 """By attribute of `Robot`, in the unit that the name ends with."""
 

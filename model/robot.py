@@ -53,6 +53,9 @@ class Robot:
         Share of the energy released on a descent that returns to the battery, 0 to 0.99.
     turn_j_per_rad : float
         Energy of turning by one radian [J/rad].
+    tracking_std_m : float
+        Standard deviation of how far beside its path the robot drives [m]. Paths keep three times that, and at least
+        half a cell, between them and ground that may not be driven; with 0 they keep nothing.
 
     Raises
     ------
@@ -78,6 +81,7 @@ class Robot:
     rolling_resistance: float = 0.08
     regeneration: float = 0.0
     turn_j_per_rad: float = 0.0
+    tracking_std_m: float = 0.1
 
     def __post_init__(self) -> None:
         for key, allowed in ranges.ROBOT.items():
@@ -111,7 +115,8 @@ class Robot:
             f"{self.wheel_radius_m:g} m radius, {self.speed_mps:g} m/s, battery {self.battery_wh:g} Wh at "
             f"{self.nominal_voltage_v:g} V, {self.idle_power_w:g} W idle, limits {self.max_grade_deg:g} deg along and "
             f"{self.max_cross_slope_deg:g} deg across the slope, rolling resistance {self.rolling_resistance:g}, "
-            f"regeneration {self.regeneration:g}, turning {self.turn_j_per_rad:g} J/rad"
+            f"regeneration {self.regeneration:g}, turning {self.turn_j_per_rad:g} J/rad, "
+            f"{self.tracking_std_m:g} m beside its path"
         )
 
     @classmethod

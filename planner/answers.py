@@ -46,8 +46,11 @@ class Plan:
 
     @property
     def saving_j(self) -> float:
-        """Energy [J] that the route saves against the shortest path; never negative."""
-        return self.shortest.energy_j - self.route.energy_j
+        """Energy [J] that the route saves against the shortest path.
+
+        0 where that is cheaper only because it is nearer to closed ground than the robot's margin.
+        """
+        return max(self.shortest.energy_j - self.route.energy_j, 0.0)
 
     def __repr__(self) -> str:
         return f"Plan({self.route.in_words()}; {energy_words(self.saving_j)} less than the shortest path)"

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from joulemap.model.threads import both
 from joulemap.planner.answers import Plan, RoundTrip
-from joulemap.planner.any_angle.best import ANY_ANGLE_NEIGHBOURS, best_path, improved, shorter_of, tightened
+from joulemap.planner.any_angle.best import (
+    ANY_ANGLE_NEIGHBOURS,
+    best_path,
+    driven_energy_j,
+    improved,
+    margin_notes,
+    shorter_of,
+    tightened,
+)
 from joulemap.planner.areas.reach import ReachField, reach_field
 from joulemap.planner.grid.fields import field_towards
 from joulemap.planner.grid.search import grid_search
@@ -23,9 +31,9 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.avoid import Polygon, checked_polygons, window_of, without
 from joulemap.planner.places import end_point
 from joulemap.planner.planners import PLANNERS, Options, planner_named
-from joulemap.planner.pricing.integrator import Points, leg_prices_between, path_price
+from joulemap.planner.pricing.integrator import Points, margin_cells, metres_within_margin, path_price
 from joulemap.planner.pricing.move_prices import check_neighbours
-from joulemap.planner.pricing.moves import MoveTable, distance_table, move_table, repriced
+from joulemap.planner.pricing.moves import MoveTable, distance_table, move_table, repriced, with_margin
 from joulemap.planner.questions.alternatives import alternative_paths, improved_ways
 from joulemap.planner.questions.bound import BoundTable, bound_table, energy_bound, quick_bound
 from joulemap.planner.questions.tours import cheapest_tour
@@ -70,6 +78,7 @@ class RoutePlanner:
         self.lattice = lattice
         self._distances = distance_lattice(lattice)
         self._tables: dict[tuple[bool, int], MoveTable] = {}
+        self._margins: dict[int, MoveTable] = {}
         self._bounds: tuple[BoundTable | None] | None = None
         self._reaching = threading.Lock()
         self._making = threading.RLock()  # what is kept is made once; questions then share it without a lock
@@ -79,7 +88,7 @@ class RoutePlanner:
 
     def prepare(self) -> None:
         """Price the moves of refined routes now, so that the first question does not wait for it."""
-        self._table(ANY_ANGLE_NEIGHBOURS, distance=False)
+        self._with_margin(ANY_ANGLE_NEIGHBOURS, distance=False)
 
     def avoiding(self, polygons: Sequence[Sequence[Sequence[float]]]) -> RoutePlanner:
         """Return the planner of the same map with the cells of some polygons blocked.
@@ -169,6 +178,16 @@ class RoutePlanner:
                     )
         return self._tables[key]
 
+    def _with_margin(self, neighbours: int, *, distance: bool) -> MoveTable:
+        """The moves of refined routes, which keep the robot's margin to closed ground where another way exists."""
+        if neighbours not in self._margins:
+            with self._making:
+                if neighbours not in self._margins:
+                    table = self._table(neighbours, distance=False)
+                    self._margins[neighbours] = with_margin(table, margin_cells(self.lattice))
+        table = self._margins[neighbours]
+        return distance_table(table) if distance else table
+
     def plan(
         self,
         start_xy: tuple[float, float],
@@ -217,7 +236,8 @@ class RoutePlanner:
         Returns
         -------
         Plan
-            Both routes, priced by `edges`; the first never costs more than the second.
+            Both routes, priced by `edges`. The first costs no more than the second, unless that is nearer to closed
+            ground than the robot's margin.
 
         Raises
         ------
@@ -254,20 +274,27 @@ class RoutePlanner:
             notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
         details: dict[str, Any] = {"planner": planner, "neighbours": neighbours, "refined": refine, **found}
         shortest = shorter_of(lattice, self._distances, shortest, points)
-        details["from_shortest"] = path_price(lattice, shortest) < path_price(lattice, points)
-        if details["from_shortest"]:  # the route never costs more than the shortest path
+        best = points
+
+        def _energy_j(way: Points) -> float:
+            return driven_energy_j(lattice, way, like=best) if refine else path_price(lattice, way)
+
+        details["from_shortest"] = _energy_j(shortest) < _energy_j(points)
+        if details["from_shortest"]:
             points = improved(lattice, shortest) if refine else shortest
         ways = [points]
         if alternatives > 0:
             table = self._table(neighbours, distance=False)
             others = [w.points for w in alternative_paths(lattice, table, start, goal, count=alternatives + 1)[1:]]
             ways += improved_ways(lattice, points, others) if refine else others
-            ways.sort(key=lambda way: path_price(lattice, way))  # once improved, another one may be the cheapest
+            ways.sort(key=_energy_j)  # once improved, another one may be the cheapest
         details["seconds"] = time.perf_counter() - began
         least = quick_bound(lattice, start, goal)
         if bound and (prices := self._bound_prices()) is not None:
             least = max(least, energy_bound(lattice, prices, start, goal))
         bound_j = least if math.isfinite(least) else None
+        if refine:
+            notes += margin_notes(lattice, ways[0])
         route, *rest = (self._route(way, notes) for way in ways)
         return Plan(route, self._route(shortest, notes), planner, details, tuple(rest), bound_j)
 
@@ -375,18 +402,20 @@ class RoutePlanner:
 
     def _best(self, start: Points, goal: Points) -> tuple[Points, dict[str, Any]]:
         """The best path of any angles that we find, for every kind of question."""
-        table = self._table(ANY_ANGLE_NEIGHBOURS, distance=False)
-        best = best_path(self.lattice, table, start, goal)
+        best = best_path(self.lattice, self._with_margin(ANY_ANGLE_NEIGHBOURS, distance=False), start, goal)
         return best.points, {
             "expanded": best.expanded,
             "grid_energy_j": best.grid_energy_j,
         }
 
     def _shortest(self, start: Points, goal: Points, neighbours: int, refine: bool) -> Points:
-        """The shortest path within the limits: the straight line where it is free."""
-        if refine and np.isfinite(leg_prices_between(self._distances, start[None], goal[None])[0]):
-            return np.vstack([start, goal])
-        points = grid_search(self._distances, self._table(neighbours, distance=True), start, goal).points
+        """The shortest path within the limits and the margin: the straight line where it is free."""
+        straight = np.vstack([start, goal])
+        free = refine and np.isfinite(path_price(self._distances, straight))
+        if free and metres_within_margin(self._distances, straight) == 0.0:
+            return straight
+        table = self._with_margin(neighbours, distance=True) if refine else self._table(neighbours, distance=True)
+        points = grid_search(self._distances, table, start, goal).points
         return tightened(self._distances, points) if refine else points
 
     def _route(self, points: Points, notes: list[str]) -> Route:

@@ -19,7 +19,15 @@ from numpy.typing import ArrayLike
 
 from joulemap.model.errors import InputError
 from joulemap.planner.answers import Plan, RoundTrip
-from joulemap.planner.any_angle.best import ANY_ANGLE_NEIGHBOURS, best_path, improved, shorter_of, tightened
+from joulemap.planner.any_angle.best import (
+    ANY_ANGLE_NEIGHBOURS,
+    best_path,
+    driven_energy_j,
+    improved,
+    margin_notes,
+    shorter_of,
+    tightened,
+)
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.avoid import checked_polygons
 from joulemap.planner.lattice.stored_lattice import StoredLattice
@@ -27,9 +35,9 @@ from joulemap.planner.on_disk.coarse import CoarseLevel, coarse_level
 from joulemap.planner.on_disk.strip import Strip
 from joulemap.planner.on_disk.tiled_search import DEFAULT_MEMORY, TiledSearch
 from joulemap.planner.places import end_point
-from joulemap.planner.pricing.integrator import Points, path_price
+from joulemap.planner.pricing.integrator import Points, margin_cells, metres_within_margin, path_price
 from joulemap.planner.pricing.move_prices import MovePrices
-from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.pricing.moves import move_table, with_margin
 from joulemap.planner.questions.bound import quick_bound
 from joulemap.planner.route import Route, price_route
 
@@ -206,12 +214,18 @@ class StoredPlanner:
         points, details = self._searched(start, goal, neighbours, level, refine, report.part(half, 1.0))
         details |= {"planner": planner, "neighbours": neighbours, "refined": refine, "tiled": True}
         shortest = shorter_of(self.lattice, _of_distances(self.lattice), shortest, points)
-        details["from_shortest"] = path_price(self.lattice, shortest) < path_price(self.lattice, points)
+        self._strip.read_along(shortest, cells=MARGIN_CELLS if refine else 4)
+        if refine:
+            energies = [driven_energy_j(self.lattice, way, like=points) for way in (shortest, points)]
+        else:
+            energies = [path_price(self.lattice, way) for way in (shortest, points)]
+        details["from_shortest"] = energies[0] < energies[1]
         if details["from_shortest"]:
-            self._strip.read_along(shortest, cells=MARGIN_CELLS if refine else 4)
             points = improved(self.lattice, shortest) if refine else shortest
         details["grid_gap"] = _gap(details["grid_energy_j"], details["grid_bound_j"])
         details["seconds"] = time.perf_counter() - began
+        if refine:
+            notes += margin_notes(self.lattice, points)
         least = quick_bound(self.lattice, start, goal)
         bound_j = least if math.isfinite(least) else None
         return Plan(self._route(points, notes), self._route(shortest, notes), planner, details, (), bound_j)
@@ -242,10 +256,12 @@ class StoredPlanner:
         )
 
     def _straight(self, start: Points, goal: Points) -> Points | None:
-        """The straight line, where it is free."""
+        """The straight line, where it is free and keeps the margin."""
         points = np.vstack([start, goal])
         self._strip.read_along(points, cells=4)
-        return points if math.isfinite(path_price(_of_distances(self.lattice), points)) else None
+        distances = _of_distances(self.lattice)
+        free = math.isfinite(path_price(distances, points)) and metres_within_margin(distances, points) == 0.0
+        return points if free else None
 
     def _searched(
         self,
@@ -286,7 +302,7 @@ class StoredPlanner:
         if int(np.prod(high - low)) > min(SURROUNDINGS_CELLS, self._memory // _BYTES_PER_CELL):
             return improved(self.lattice, points)
         around = self.stored.window(int(low[0]), int(high[0]), int(low[1]), int(high[1]))
-        table = move_table(around, neighbours=ANY_ANGLE_NEIGHBOURS)
+        table = with_margin(move_table(around, neighbours=ANY_ANGLE_NEIGHBOURS), margin_cells(around))
         found = best_path(around, table, start - low, goal - low).points + low
         self._strip.read_along(found, cells=4)
         return found

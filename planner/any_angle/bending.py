@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from joulemap.planner.pricing.kernels import heading_memory, leg_energy_with, turn_angle
+from joulemap.planner.pricing.kernels import driven_leg_energy, heading_memory, turn_angle
 
 ACROSS, ALONG, ON_LINE = 0, 1, 2
 """Directions of a shift: across the path, along it, or along the line of cell centres that the vertex lies on."""
@@ -106,7 +106,7 @@ def _price_leg(arrays, points, side, k, step, least_leg, cost):
         row0, col0 = _shifted(points, side, k, a, step)
         for b in range(1 if k == cost.shape[0] - 1 else _SHIFTS):
             row1, col1 = _shifted(points, side, k + 1, b, step)
-            price = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
+            price = driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
             short = (a != 0 or b != 0) and math.hypot(row1 - row0, col1 - col0) < least_leg
             cost[k, a, b] = math.inf if short or math.isnan(price) else price
 

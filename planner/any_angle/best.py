@@ -20,7 +20,18 @@ from joulemap.planner.any_angle.region import region_around, region_between
 from joulemap.planner.any_angle.shortcuts import shortcuts
 from joulemap.planner.grid.stopping import check_stop
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.pricing.integrator import Points, leg_prices, path_price, price_arrays
+from joulemap.planner.pricing.integrator import (
+    MARGIN_PENALTY,
+    Points,
+    Prices,
+    driven_prices,
+    exact_prices,
+    leg_prices,
+    margin_cells,
+    metres_within_margin,
+    path_price,
+)
+from joulemap.planner.pricing.kernels import path_energy
 from joulemap.planner.pricing.moves import MoveTable
 from joulemap.planner.pricing.polylines import distinct, path_length, subdivided
 
@@ -28,8 +39,6 @@ ANY_ANGLE_NEIGHBOURS = 32
 """Moves per cell of the grid search before: more headings find other passages and other valleys."""
 OPEN_PARTS, CLOSED_PARTS = 4, 8
 """Parts of the side of a square on open ground, and where moves are closed beside the grid path."""
-OPEN_ROUNDS, CLOSED_ROUNDS = 1, 2
-"""How often all `BENDS` are tried there: next to closed ground a path has more corners."""
 AROUND = 2
 """How far beside a given path the cells lie among which it is improved."""
 SLIDES = (1 / 16, 1 / 32, 1 / 64)
@@ -55,7 +64,7 @@ class BestPath:
     energy_j : float
         Its energy [J].
     grid_energy_j : float
-        Least energy over grid moves [J].
+        Energy of the cheapest path over grid moves, penalties of the margin not counted [J].
     expanded : int
         Number of settled states.
     """
@@ -69,31 +78,38 @@ class BestPath:
 def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> BestPath:
     """Return the best path of any angles between two places (row, col).
 
-    Raises NoRouteError if the goal cannot be reached. The path is at most as dear as the cheapest one over grid moves.
+    Raises NoRouteError if the goal cannot be reached. For a robot that keeps to its path exactly it is at most as dear
+    as the cheapest one over grid moves; else it is the best as the robot will drive it (`driven_prices`).
     """
     region = region_between(lattice, table, start, goal)
     grid, points = region.grid, region.grid.points
     if region.cells is not None:
         check_stop()
-        points = _cheapest_in(lattice, region.cells, points, closed=region.beside_closed)
-    return BestPath(points, path_price(lattice, points), grid.energy_j, grid.expanded)
+        points = _cheapest_in(lattice, region.cells, points, closed=region.beside_closed, any_closed=region.any_closed)
+    return BestPath(points, path_price(lattice, points), path_price(lattice, grid.points), grid.expanded)
 
 
 def improved(lattice: CostLattice, points: Points) -> Points:
-    """Return the best path of any angles within a few cells of a (row, col) polyline: at most as dear, (n, 2)."""
+    """Return the best path of any angles within a few cells of a (row, col) polyline, (n, 2)."""
     points = distinct(np.ascontiguousarray(points, dtype=np.float64))
     if path_length(points) == 0.0 or math.isnan(path_price(lattice, points)):
         return points
-    points = shortcuts(lattice, points)
-    return _cheapest_in(lattice, region_around(lattice, points, half_side=AROUND), points, closed=True)
+    points = shortcuts(_prices(lattice, points), points)
+    return _cheapest_in(lattice, region_around(lattice, points, half_side=AROUND), points, closed=True, any_closed=True)
+
+
+def driven_energy_j(lattice: CostLattice, points: Points, *, like: Points) -> float:
+    """The energy of a (row, col) polyline as the robot will drive it, penalties of its margin included [J].
+
+    like : a path whose energy says what a metre usually costs; paths are compared with the same one.
+    """
+    return float(path_energy(*_prices(lattice, like), points))
 
 
 def tightened(lattice: CostLattice, points: Points) -> Points:
-    """Return a (row, col) polyline after shortcuts and shifts of its corners: at most as dear, no vertex added."""
-    points = shortcuts(lattice, distinct(np.ascontiguousarray(points, dtype=np.float64)))
-    for step in CORNER_SHIFTS:
-        points = _bent(lattice, points, step)
-    return shortcuts(lattice, points)
+    """Return a (row, col) polyline after shortcuts and shifts of its corners, with no vertex added."""
+    points = distinct(np.ascontiguousarray(points, dtype=np.float64))
+    return _tightened(_prices(lattice, points), points)
 
 
 def shorter_of(lattice: CostLattice, distances: CostLattice, shortest: Points, points: Points) -> Points:
@@ -108,46 +124,76 @@ def shorter_of(lattice: CostLattice, distances: CostLattice, shortest: Points, p
     return points if math.isnan(path_price(lattice, cut)) else cut
 
 
-def _cheapest_in(lattice: CostLattice, cells: NDArray[np.bool_], known: Points, *, closed: bool) -> Points:
+def margin_notes(lattice: CostLattice, points: Points) -> list[str]:
+    """Return what the driver should know where a (row, col) polyline is nearer to closed ground than the margin."""
+    metres = metres_within_margin(lattice, points)
+    if metres == 0.0:
+        return []
+    margin_m = margin_cells(lattice) * lattice.frame.resolution_m
+    return [
+        f"for {metres:.1f} m the route is nearer than {margin_m:g} m to ground that may not be driven: every way "
+        f"around costs over {MARGIN_PENALTY:g} times as much as that stretch"
+    ]
+
+
+def _prices(lattice: CostLattice, points: Points) -> Prices:
+    """The prices of paths like a known one, as the robot will drive them."""
+    return driven_prices(lattice, _cell_j(lattice, points))
+
+
+def _cell_j(lattice: CostLattice, points: Points) -> float:
+    """Energy of a typical cell's length of a path [J], above 0."""
+    size = float(np.abs(leg_prices(lattice, points)).sum()) / max(path_length(points), 1.0)
+    return size if size > 0.0 else lattice.robot.weight_n
+
+
+def _cheapest_in(
+    lattice: CostLattice, cells: NDArray[np.bool_], known: Points, *, closed: bool, any_closed: bool
+) -> Points:
     """The cheapest path over line points of some cells, moved to the least energy nearby.
 
-    It is at most as dear as a known one. closed : whether moves are closed near that. Where turning costs, the known
-    path is moved too: the grid weighs turns exactly, at fewer headings.
+    It is at most as dear as a known one. closed : whether moves are closed near that; any_closed : from any of the
+    cells, else no margin is needed. Where turning costs, the known path is moved too: the grid weighs turns exactly, at
+    fewer headings.
     """
-    known = shortcuts(lattice, known)
-    typical_j = float(np.abs(leg_prices(lattice, known)).sum()) / max(path_length(known), 1.0)
-    turning = lattice.robot.turn_j_per_rad > 0.0
-    parts, rounds = (CLOSED_PARTS, CLOSED_ROUNDS) if closed or turning else (OPEN_PARTS, OPEN_ROUNDS)
-    found = cheapest_over_line_points(
-        lattice, cells, known[0], known[-1], parts=parts, typical_j=typical_j or lattice.robot.weight_n
-    )
+    typical_j = _cell_j(lattice, known)
+    prices = driven_prices(lattice, typical_j) if any_closed else exact_prices(lattice)
+    known = shortcuts(prices, known)
+    turning = prices.turn_j_per_rad > 0.0
+    parts = CLOSED_PARTS if closed or turning else OPEN_PARTS
+    found = cheapest_over_line_points(lattice, prices, cells, known[0], known[-1], parts=parts, typical_j=typical_j)
     paths = [found, known] if len(found) and turning else [found] if len(found) else [known]
-    return min([*(_moved(lattice, path, rounds) for path in paths), known], key=lambda path: path_price(lattice, path))
+    return min([*(_moved(prices, path) for path in paths), known], key=lambda path: path_energy(*prices, path))
 
 
-def _moved(lattice: CostLattice, points: Points, rounds: int) -> Points:
-    """The path after all its vertices were moved to the least energy nearby. rounds : how often it is bent."""
-    arrays = price_arrays(lattice)
-    if lattice.robot.turn_j_per_rad > 0.0:
-        points = tightened(lattice, points)
+def _moved(prices: Prices, points: Points) -> Points:
+    """The path after all its vertices were moved to the least energy nearby."""
+    if prices.turn_j_per_rad > 0.0:
+        points = _tightened(prices, points)
     else:
         for step in SLIDES:
-            points = bent(*arrays, 0.0, points, step, ON_LINE)
-        points = shortcuts(lattice, points)
+            points = bent(*prices, points, step, ON_LINE)
+        points = shortcuts(prices, points)
         for step in LONG_SHIFTS:
-            points = _bent(lattice, points, step)
-        points = shortcuts(lattice, settled(*arrays, subdivided(points, 1.0), PROBES))
-    for _ in range(rounds):
-        points = subdivided(points, 0.5)
-        for step in BENDS:
-            points = _bent(lattice, points, step)
-        points = shortcuts(lattice, points)
-    return points
+            points = _bent(prices, points, step)
+        points = shortcuts(prices, settled(*prices[:4], subdivided(points, 1.0), PROBES))
+    points = subdivided(points, 0.5)
+    for step in BENDS:
+        points = _bent(prices, points, step)
+    return shortcuts(prices, points)
 
 
-def _bent(lattice: CostLattice, points: Points, step: float) -> Points:
+def _tightened(prices: Prices, points: Points) -> Points:
+    """As `tightened`."""
+    points = shortcuts(prices, points)
+    for step in CORNER_SHIFTS:
+        points = _bent(prices, points, step)
+    return shortcuts(prices, points)
+
+
+def _bent(prices: Prices, points: Points, step: float) -> Points:
     """The path after shifts of its vertices across it and along it."""
     check_stop()
     for direction in (ACROSS, ALONG):
-        points = bent(*price_arrays(lattice), lattice.robot.turn_j_per_rad, points, step, direction)
+        points = bent(*prices, points, step, direction)
     return points

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import heading_of, heading_vector
+from joulemap.planner.pricing.move_prices import leg_stencils
 
 AROUND = 3
 """Rows and columns of cells around a point's cell in which its chords end, and whose tractions they need."""
@@ -48,6 +49,9 @@ class Chords(NamedTuple):
         East and north component of each heading.
     heading_rad : ndarray of float64, (H,)
         The headings.
+    beside : ndarray of int64, (C, B, 2)
+        Further cells that it touches when it is shifted to its sides by up to the margin and longer by it at both
+        ends: rows and columns from the cell of its beginning; repeated where there are fewer.
     """
 
     places: NDArray[np.float64]
@@ -61,13 +65,15 @@ class Chords(NamedTuple):
     blend: NDArray[np.float64]
     directions: NDArray[np.float64]
     heading_rad: NDArray[np.float64]
+    beside: NDArray[np.int64]
 
 
 @cache
-def chords_of(parts: int) -> Chords:
+def chords_of(parts: int, margin: float = 0.0) -> Chords:
     """The chords between points that divide each side of a square into `parts`.
 
-    They lead across squares from each point to all on other sides, and along sides to the next point.
+    They lead across squares from each point to all on other sides, and along sides to the next point. margin : how far
+    to their sides other cells count [cells].
     """
     whole = range(parts + 1)
     border = [(a, b) for a in whole for b in whole if a in (0, parts) or b in (0, parts)]
@@ -102,9 +108,38 @@ def chords_of(parts: int) -> Chords:
         first.append(len(rows))
     down, right = np.array(list(headings)).T
     heading_rad = heading_of(right, -down)
-    columns = (np.array(column) for column in zip(*rows, strict=True))
+    columns = [np.array(column) for column in zip(*rows, strict=True)]
     directions = np.column_stack(heading_vector(heading_rad))
-    return Chords(np.array(kinds) / parts, np.array(first), *columns, directions, heading_rad)
+    begins = np.repeat(np.array(kinds) / parts, np.diff(first), axis=0)
+    beside = _beside(begins, directions[columns[2]], columns[3], columns[4], margin)
+    return Chords(np.array(kinds) / parts, np.array(first), *columns, directions, heading_rad, beside)
+
+
+def _beside(
+    begins: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    length: NDArray[np.float64],
+    corners: NDArray[np.int64],
+    margin: float,
+) -> NDArray[np.int64]:
+    """The cells that chords touch when they are shifted and longer, (C, B, 2); B = 0 without a margin."""
+    if margin == 0.0:
+        return np.zeros((len(begins), 0, 2), dtype=np.int64)
+    step = length[:, None] * np.column_stack([-directions[:, 1], directions[:, 0]])  # rows run south
+    along = step / length[:, None]
+    side = np.column_stack([along[:, 1], -along[:, 0]])
+    touched: list[set[tuple[int, int]]] = [set() for _ in begins]
+    steps = math.ceil(margin)
+    for k in range(-steps, steps + 1):
+        cells, shares = leg_stencils(
+            np.hstack([begins + margin * (k / steps * side - along), step + 2.0 * margin * along])
+        )
+        for number, (row_col, share) in enumerate(zip(cells.tolist(), shares.tolist(), strict=True)):
+            touched[number] |= {tuple(cell) for cell, part in zip(row_col, share, strict=True) if part >= 0.0}
+    own = [{(int(n) // AROUND - 1, int(n) % AROUND - 1) for n in four} for four in corners]
+    others = [sorted(cells - mine) or sorted(mine)[:1] for cells, mine in zip(touched, own, strict=True)]
+    widest = max(map(len, others))
+    return np.array([(cells * widest)[:widest] for cells in others], dtype=np.int64)
 
 
 def _number(down: int, right: int) -> int:

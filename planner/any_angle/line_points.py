@@ -12,13 +12,14 @@ from functools import cache
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from joulemap.model.frames import wrap_angle
 from joulemap.planner.any_angle.chords import AROUND, Chords, chords_of
 from joulemap.planner.grid.buckets import BUCKETS, put
 from joulemap.planner.grid.stopping import check_stop, stop_flag
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.pricing.integrator import Points, interpolation_matrix, leg_prices_between, price_arrays
+from joulemap.planner.pricing.integrator import Points, Prices, interpolation_matrix, leg_prices_between
 from joulemap.planner.pricing.kernels import fill_tractions, mean_response
 from joulemap.planner.pricing.polylines import distinct
 
@@ -36,17 +37,27 @@ def _heading_weights(parts: int, bins: int) -> NDArray[np.float64]:
 
 
 def cheapest_over_line_points(
-    lattice: CostLattice, region: NDArray[np.bool_], start: Points, goal: Points, *, parts: int, typical_j: float
+    lattice: CostLattice,
+    prices: Prices,
+    region: NDArray[np.bool_],
+    start: Points,
+    goal: Points,
+    *,
+    parts: int,
+    typical_j: float,
 ) -> Points:
     """The (row, col) of the cheapest path over line points of a region, (n, 2); n = 0 where there is none.
 
-    region : cells that take part, (rows, cols). parts : of a side between two centres. typical_j : energy of a typical
-    cell [J]. A turn counts from the best way to its point, so where turning costs the path may not be the cheapest.
+    prices : of the lattice; within their margin a chord has their penalty. region : cells that take part, (rows, cols).
+    parts : of a side between two centres. typical_j : energy of a typical cell [J]. A turn counts from the best way to
+    its point, so where turning costs the path may not be the cheapest.
     """
-    cells = np.flatnonzero(region)
-    slot = np.full(region.shape, -1, dtype=np.int32)
+    margin = float(prices.terms[6])
+    around = region if margin == 0.0 else binary_dilation(region, np.ones((3, 3)), math.ceil(margin))
+    cells, slot = np.flatnonzero(around), np.full(region.shape, -1, dtype=np.int32)
     slot.ravel()[cells] = np.arange(cells.size)
-    chords, robot = chords_of(parts), lattice.robot
+    inside = region.ravel()[cells]
+    chords, robot = chords_of(parts, margin), lattice.robot
     begins, spent = _joined(lattice, slot, cells, chords, start, outward=True)
     ends, rest = _joined(lattice, slot, cells, chords, goal, outward=False)
     least = robot.hotel_per_m * lattice.frame.resolution_m if robot.regeneration == 0.0 else -math.inf
@@ -56,7 +67,7 @@ def cheapest_over_line_points(
         turn = robot.turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
     weights = _heading_weights(parts, lattice.headings)
     way = _cheapest(
-        *price_arrays(lattice), chords, weights, slot, cells, begins, spent, ends, rest,
+        *prices[:4], chords, weights, slot, cells, inside, begins, spent, ends, rest,
         least, 1.0 / (_WIDTH * typical_j), turn, stop_flag(),
     )  # fmt: skip
     check_stop()
@@ -90,13 +101,14 @@ def _joined(
 
 @njit(cache=True, nogil=True)
 def _cheapest(
-    traction, gradient, blocked, terms, chords, weights, slot, cells, begins, spent, ends, rest,
+    traction, gradient, blocked, terms, chords, weights, slot, cells, inside, begins, spent, ends, rest,
     least_per_cell, per_j, turn, stop,
 ):  # fmt: skip
     """The (row, col) of the line points of the cheapest way, (k, 2); k = 0 where there is none.
 
     weights : of the heading bins at the headings of chords, (H, K). slot : number of each cell among those that take
-    part, -1 for the others; cells : their flat indices. A line point has the number kinds * number of its cell + kind.
+    part, -1 for the others; cells : their flat indices; inside : whether chords may touch them, and not only those
+    within the margin. A line point has the number kinds * number of its cell + kind.
     begins, ends : line points that are joined to the start and to the goal; spent, rest : energies of joining each [J].
     least_per_cell : what a way of one cell costs at least [J]; below 0 where prices may be negative. turn : energy of
     turning from one heading to another (H, H) [J], or (0, 0).
@@ -104,7 +116,7 @@ def _cheapest(
     rows, cols = slot.shape
     spacing, hotel, regeneration = terms[0], terms[1], terms[2]
     kinds = len(chords.places)
-    turning = turn.size > 0
+    turning, beside = turn.size > 0, chords.beside.shape[1]
     label, joined = np.full(kinds * cells.size, np.inf), np.full(kinds * cells.size, np.inf)
     expanded = np.full(label.size, np.inf)
     came = np.full(label.size, -1, dtype=np.int32)
@@ -150,7 +162,7 @@ def _cheapest(
             for k in range(around.size):
                 i, j = row + k // AROUND - 1, col + k % AROUND - 1
                 there = np.int64(slot[i, j]) if 0 <= i < rows and 0 <= j < cols else -1
-                around[k] = there
+                around[k] = there if there >= 0 and inside[there] else -1
                 if there >= 0 and not known[there]:
                     known[there] = True
                     fill_tractions(
@@ -185,6 +197,20 @@ def _cheapest(
                 arrived = so_far + (hotel + mean) * length * spacing
                 if turning and heading_in >= 0:
                     arrived += turn[heading_in, h]
+                if arrived < before and beside > 0:
+                    for k in range(beside):
+                        i, j = row + chords.beside[n, k, 0], col + chords.beside[n, k, 1]
+                        there = np.int64(slot[i, j]) if 0 <= i < rows and 0 <= j < cols else -1
+                        if there < 0:
+                            continue
+                        if not known[there]:
+                            known[there] = True
+                            fill_tractions(
+                                at_headings[there], traction, gradient, blocked, terms, chords.directions, weights, i, j
+                            )
+                        if math.isnan(at_headings[there, h]):
+                            arrived += terms[8] * length
+                            break
                 if not arrived < before - _ROUNDING * abs(arrived):
                     continue
                 label[other], came[other] = arrived, point

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from joulemap.planner.any_angle.bending import ACROSS, set_sides
-from joulemap.planner.pricing.kernels import heading_memory, leg_energy_with, polyline_energies
+from joulemap.planner.pricing.kernels import driven_leg_energy, heading_memory, polyline_energies
 
 DAMPING = 1e-3
 """Added to the diagonal of the Hessian, as a share of its largest entry, where a stretch has no curvature at all."""
@@ -75,7 +75,7 @@ def _probe(arrays, points, side, probe, energy, slope, curve, mixed, ahead):
                 continue
             row0, col0 = points[k, 0] + start * side[k, 0], points[k, 1] + start * side[k, 1]
             row1, col1 = points[k + 1, 0] + end * side[k + 1, 0], points[k + 1, 1] + end * side[k + 1, 1]
-            probed[v] = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
+            probed[v] = driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
         left, right, other_left, other_right = probed[0], probed[1], probed[2], probed[3]
         ahead[k, 0] += left - here
         ahead[k, 1] += right - here
@@ -140,7 +140,7 @@ def _move(arrays, points, side, shift, energy):
                 continue
             row0, col0 = points[k, 0] + here * side[k, 0], points[k, 1] + here * side[k, 1]
             row1, col1 = points[k + 1, 0] + there * side[k + 1, 0], points[k + 1, 1] + there * side[k + 1, 1]
-            price = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
+            price = driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
             if not math.isnan(price):
                 cost[k, a, b] = price
         to_stay, to_move = stays + cost[k, 0, 0], stays + cost[k, 0, 1]

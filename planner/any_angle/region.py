@@ -46,11 +46,14 @@ class Region:
         The cells; None where start and goal are within a cell of each other and `grid` is the leg between them.
     beside_closed : bool
         Whether moves are closed beside the grid path.
+    any_closed : bool
+        Whether moves are closed from any of the cells.
     """
 
     grid: GridPath
     cells: NDArray[np.bool_] | None
     beside_closed: bool
+    any_closed: bool
 
 
 def region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> Region:
@@ -66,12 +69,13 @@ def region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: 
     last, total, expanded = run_search(ahead, table, np.unique(seeds), guide, targets, rest, margin=margin)
     direct = direct_energy(lattice, start, goal)
     if direct < math.inf and direct <= total:
-        return Region(GridPath(np.vstack([start, goal]), direct, expanded), None, False)
+        return Region(GridPath(np.vstack([start, goal]), direct, expanded), None, False, False)
     if last == _NONE:
         raise no_route(lattice.robot, expanded)
     cells = ahead.trace(table, last)[::-1] // layers
     grid = GridPath(joined_points(lattice, start, cells, goal), float(total), expanded)
     closed = bool(has_closed_move(table.energy, table.offsets, np.unique(cells)))
+    closed |= table.near.size > 0 and bool(table.near[cells].any())
     most = total + margin * abs(total)
     if closed:
         most = total + CLOSED_LAG * root_share * abs(total)
@@ -84,7 +88,8 @@ def region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: 
     region = np.zeros(lattice.frame.shape, dtype=np.bool_)
     for part in (reached, cells):
         mark_around(region, part, lattice.frame.cols, CLOSED_GROWTH if closed else OPEN_GROWTH)
-    return Region(grid, region, closed)
+    any_closed = closed or bool(has_closed_move(table.energy, table.offsets, np.flatnonzero(region)))
+    return Region(grid, region, closed, any_closed)
 
 
 def region_around(lattice: CostLattice, points: Points, *, half_side: int) -> NDArray[np.bool_]:

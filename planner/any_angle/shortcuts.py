@@ -10,18 +10,17 @@ import math
 import numpy as np
 from numba import njit
 
-from joulemap.planner.lattice import CostLattice
-from joulemap.planner.pricing.integrator import Points, price_arrays
-from joulemap.planner.pricing.kernels import heading_memory, leg_energy_with, path_energy, turn_angle
+from joulemap.planner.pricing.integrator import Points, Prices
+from joulemap.planner.pricing.kernels import driven_leg_energy, heading_memory, path_energy, turn_angle
 
 SPAN = 4
 """Legs that one leg may replace in one pass."""
 
 
-def shortcuts(lattice: CostLattice, points: Points) -> Points:
+def shortcuts(prices: Prices, points: Points) -> Points:
     """Some vertices of a (row, col) polyline that may be driven, both ends among them: at most as dear, (m, 2)."""
-    never_pays = lattice.robot.regeneration == 0.0
-    return _shortened(*price_arrays(lattice), lattice.robot.turn_j_per_rad, points, SPAN, never_pays)
+    never_pays = prices.terms[2] == 0.0  # no regeneration
+    return _shortened(*prices, points, SPAN, never_pays)
 
 
 @njit(cache=True, nogil=True)
@@ -68,7 +67,7 @@ def _cheapest_chain(arrays, turn_j_per_rad, points, legs, never_pays):
             if math.isnan(price):
                 most = best[j] - best[i] if never_pays else np.inf
                 r0, c0, r1, c1 = points[i, 0], points[i, 1], points[j, 0], points[j, 1]
-                price = leg_energy_with(memory, traction, gradient, blocked, terms, r0, c0, r1, c1, most)
+                price = driven_leg_energy(memory, traction, gradient, blocked, terms, r0, c0, r1, c1, most)
                 if not price <= most:
                     price = np.inf
                 legs[i, j - i - 1] = price

@@ -167,6 +167,8 @@ def search_cells(
     price,
     lengths,
     jump,
+    near,
+    near_j,
     first,
     targets,
     target_rest,
@@ -197,6 +199,10 @@ def search_cells(
         What every move there is costs instead; empty for its energy.
     jump : ndarray of int64, (N,)
         Step of each move in flat indices.
+    near : ndarray of uint32, (cells,) or (0,)
+        Bit n is set where move n leaves the cell within the margin; empty for no margin, see `MoveTable`.
+    near_j : ndarray of float64, (N,) or (0,)
+        What such a move costs more [J].
     first : ndarray of int64, (S,)
         Cells to begin with.
     targets : ndarray of int64, (T,)
@@ -243,7 +249,7 @@ def search_cells(
     moves = jump.size
     steps = (-jump if backward else jump).astype(np.uintp)
     prices = price.reshape(-1)
-    metric = lengths.size > 0
+    metric, marked = lengths.size > 0, near.size > 0
     free = guide.pairs.shape[0] == 0
     per_j = 1.0 / width
     queue, count, current, due_first = open_ring(first, energy[first], guide, cols, per_j)
@@ -290,6 +296,8 @@ def search_cells(
                 step = np.float64(prices[(other if backward else cell) * np.uintp(moves) + np.uintp(n)])
                 if metric:
                     step = lengths[n] + 0.0 * step  # NaN stays
+                if marked and near[other if backward else cell] >> np.uint32(n) & np.uint32(1):
+                    step += near_j[n]
                 reached = so_far + step
                 before = energy[other]
                 if not reached < before:  # nor where there is no such move

@@ -19,6 +19,8 @@ def search_headings(
     pred,
     price,
     jump,
+    near,
+    near_j,
     gap,
     first,
     targets,
@@ -49,6 +51,10 @@ def search_headings(
         Energy of the move that leaves a cell [J]; NaN where there is none.
     jump : ndarray of int64, (N,)
         Step of each move in flat indices.
+    near : ndarray of uint32, (cells,) or (0,)
+        Bit n is set where move n leaves the cell within the margin; empty for no margin, see `MoveTable`.
+    near_j : ndarray of float64, (N,) or (0,)
+        What such a move costs more [J].
     gap : ndarray of float64, (N,)
         Energy of turning from heading k to k + 1 [J].
     first : ndarray of int64, (S,)
@@ -98,7 +104,7 @@ def search_headings(
     moves = jump.size
     cells = energy.size // moves
     steps = -jump if backward else jump
-    prices = price.reshape(-1)
+    prices, marked = price.reshape(-1), near.size > 0
     free = guide.pairs.shape[0] == 0
     due = np.full(cells, NEVER)  # the bucket in which a cell waits
     to_drive = np.zeros(cells, dtype=np.uint32)  # bit set of headings
@@ -148,7 +154,10 @@ def search_headings(
                 other = cell + steps[n]
                 if other < 0 or other >= cells:
                     continue
-                reached = so_far + prices[(other if backward else cell) * moves + n]
+                leaves = other if backward else cell
+                reached = so_far + prices[leaves * moves + n]
+                if marked and near[leaves] & bit:
+                    reached += near_j[n]
                 state = other * moves + n
                 if not reached + slack * (1.0 + abs(reached)) < energy[state]:
                     continue

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,6 +20,11 @@ from joulemap.planner.pricing.kernels import (
 )
 
 Points = NDArray[np.float64]
+LEAST_MARGIN_CELLS = 0.5
+"""Least margin to ground that may not be driven, for a robot that does not keep to its path exactly."""
+MARGIN_PENALTY = 10.0
+"""A leg within the margin counts as if it were so much longer: the margin is given up only where keeping it would
+cost more."""
 
 
 def price_terms(lattice: CostLattice) -> NDArray[np.float64]:
@@ -29,13 +37,13 @@ def price_terms(lattice: CostLattice) -> NDArray[np.float64]:
 
     Returns
     -------
-    ndarray of float, (6,)
+    ndarray of float, (9,)
         Side of a cell [m], idle energy per metre [J/m], regeneration share, tangents of the greatest grade and of the
-        greatest cross slope, greatest traction [J/m].
+        greatest cross slope, greatest traction [J/m]; and three zeros: every leg is driven exactly.
     """
     robot = lattice.robot
     limits = *lattice.max_tangents, lattice.max_traction_per_m
-    return np.array([lattice.frame.resolution_m, robot.hotel_per_m, robot.regeneration, *limits])
+    return np.array([lattice.frame.resolution_m, robot.hotel_per_m, robot.regeneration, *limits, 0.0, 0.0, 0.0])
 
 
 def price_arrays(lattice: CostLattice) -> tuple[NDArray, NDArray, NDArray, NDArray]:
@@ -50,9 +58,119 @@ def price_arrays(lattice: CostLattice) -> tuple[NDArray, NDArray, NDArray, NDArr
     -------
     tuple of ndarray
         `traction_per_m` (rows, cols, headings) [J/m], `gradient` (rows, cols, 2), `blocked` (rows, cols), and
-        `price_terms` (6,).
+        `price_terms` (9,).
     """
     return lattice.traction_per_m, lattice.gradient, lattice.blocked, price_terms(lattice)
+
+
+def margin_cells(lattice: CostLattice) -> float:
+    """Return how far paths keep from ground that may not be driven.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        With its robot.
+
+    Returns
+    -------
+    float
+        Three standard deviations of the robot's tracking, and at least half a cell [cells]; 0 for one that keeps to its
+        path exactly.
+    """
+    std = lattice.robot.tracking_std_m / lattice.frame.resolution_m
+    return max(LEAST_MARGIN_CELLS, 3.0 * std) if std > 0.0 else 0.0
+
+
+class Prices(NamedTuple):
+    """The first arguments of every kernel that prices a path.
+
+    Attributes
+    ----------
+    traction, gradient, blocked, terms : ndarray
+        As for `kernels.leg_energy`.
+    turn_j_per_rad : float
+        Energy of turning on the spot [J/rad].
+    """
+
+    traction: NDArray[np.float32]
+    gradient: NDArray[np.float32]
+    blocked: NDArray[np.uint8]
+    terms: NDArray[np.float64]
+    turn_j_per_rad: float
+
+
+def exact_prices(lattice: CostLattice) -> Prices:
+    """Return the prices of paths that are driven exactly.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+
+    Returns
+    -------
+    Prices
+        No margin is kept.
+    """
+    return Prices(*price_arrays(lattice), lattice.robot.turn_j_per_rad)
+
+
+def driven_prices(lattice: CostLattice, cell_j: float) -> Prices:
+    """Return the prices of paths as the robot will drive them: with an error to the sides, and a margin.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    cell_j : float
+        Energy of a typical cell's length [J].
+
+    Returns
+    -------
+    Prices
+        The last three terms are the margin [cells], the weight of a leg that far to either side in the mean, and the
+        penalty of a leg within the margin [J per cell].
+    """
+    prices, margin = exact_prices(lattice), margin_cells(lattice)
+    if margin > 0.0:
+        std = lattice.robot.tracking_std_m / lattice.frame.resolution_m
+        prices.terms[6:] = margin, 0.5 * (std / margin) ** 2, MARGIN_PENALTY * cell_j
+    return prices
+
+
+def metres_within_margin(lattice: CostLattice, points: Points) -> float:
+    """Return how much of a polyline is nearer to ground that may not be driven than the robot's margin.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    float
+        Length of its legs, cut to half a cell, beside which a leg at the margin may not be driven [m].
+    """
+    margin = margin_cells(lattice)
+    if margin == 0.0 or len(points) < 2:
+        return 0.0
+    length = np.hypot(*np.diff(points, axis=0).T)
+    pieces = np.maximum(1, np.ceil(2.0 * length - 1e-9)).astype(int)
+    leg = np.repeat(np.arange(pieces.size), pieces)
+    first = (np.arange(leg.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[leg]
+    step = (points[leg + 1] - points[leg]) / pieces[leg, None]
+    starts = points[leg] + first[:, None] * (points[leg + 1] - points[leg])
+    side = np.column_stack([step[:, 1], -step[:, 0]]) / np.maximum(np.hypot(*step.T), 1e-12)[:, None]
+    shifts = [margin * k / math.ceil(margin) for k in range(-math.ceil(margin), math.ceil(margin) + 1)]
+    closed = np.zeros(leg.size, dtype=np.bool_)
+    ahead = margin * step / np.maximum(np.hypot(*step.T), 1e-12)[:, None]
+    for shift in shifts:
+        closed |= np.isnan(
+            leg_prices_between(lattice, starts + shift * side - ahead, starts + step + shift * side + ahead)
+        )
+    return float(np.hypot(*step[closed].T).sum()) * lattice.frame.resolution_m
 
 
 def world_points(lattice: CostLattice, xy: ArrayLike) -> Points:

@@ -220,9 +220,9 @@ def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
         Rise per metre towards east and north.
     blocked : ndarray of uint8, (rows, cols)
         `Blocked` codes for every heading.
-    terms : ndarray of float64, (6,)
+    terms : ndarray of float64, (9,)
         Side of a cell [m], idle energy per metre [J/m], regeneration, tangents of the greatest grade and cross slope,
-        greatest traction [J/m].
+        greatest traction [J/m]; the last three are those of `driven_leg_energy`.
     row0, col0 : float
         Start.
     row1, col1 : float
@@ -337,6 +337,57 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
         t, t0 = t_next, t1
 
 
+@njit(cache=True, error_model="numpy")
+def driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most):
+    """Return the mean energy of a leg that is driven with an error to its sides.
+
+    Parameters
+    ----------
+    memory : tuple of ndarray
+        As `heading_memory` returned it; it is written to.
+    traction, gradient, blocked, terms : ndarray
+        As for `leg_energy`; the last three terms say how it is driven, see `integrator.driven_prices`.
+    row0, col0, row1, col1 : float
+        Start and end.
+    most : float
+        As for `leg_energy_with`.
+
+    Returns
+    -------
+    float
+        Energy [J]; NaN where the leg itself may not be driven. Where one beside it may not, a penalty is in it.
+
+    Notes
+    -----
+    The mean of a normal error from three legs side by side (Gauss-Hermite), exact for a price that is quadratic across
+    the leg. They are longer than it by the margin at both ends, because a robot is late and early too. Where the margin
+    is wider than a cell, legs between them are looked at, so that nothing is passed by.
+    """
+    price = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most)
+    margin = terms[6]
+    if margin == 0.0 or not price <= most:
+        return price
+    drow, dcol = row1 - row0, col1 - col0
+    length = math.sqrt(drow * drow + dcol * dcol)
+    if length == 0.0:
+        return price
+    steps = int(math.ceil(margin))
+    mean, down, right = price, drow / length * margin, dcol / length * margin
+    longer = length / (length + 2.0 * margin)
+    for k in range(-steps, steps + 1):
+        aside = k / steps
+        begin_row, begin_col = row0 + aside * right - down, col0 - aside * down - right
+        end_row, end_col = row1 + aside * right + down, col1 - aside * down + right
+        beside = leg_energy_with(
+            memory, traction, gradient, blocked, terms, begin_row, begin_col, end_row, end_col, math.inf
+        )
+        if math.isnan(beside):
+            return price + terms[8] * length
+        if abs(k) == steps:
+            mean += terms[7] * (beside * longer - price)
+    return mean
+
+
 @njit(cache=True, nogil=True)
 def leg_energies(traction, gradient, blocked, terms, legs):
     """Return the energies of many straight legs.
@@ -349,7 +400,7 @@ def leg_energies(traction, gradient, blocked, terms, legs):
         Rise per metre.
     blocked : ndarray of uint8, (rows, cols)
         `Blocked` codes.
-    terms : ndarray of float64, (6,)
+    terms : ndarray of float64, (9,)
         Terms of the price.
     legs : ndarray of float64, (n, 4)
         row0, col0, row1, col1 of each.
@@ -393,8 +444,8 @@ def polyline_energies(traction, gradient, blocked, terms, points):
         Rise per metre.
     blocked : ndarray of uint8, (rows, cols)
         `Blocked` codes.
-    terms : ndarray of float64, (6,)
-        Terms of the price.
+    terms : ndarray of float64, (9,)
+        Terms of the price, and of how a leg is driven.
     points : ndarray of float64, (n, 2)
         (row, col) polyline.
 
@@ -407,7 +458,7 @@ def polyline_energies(traction, gradient, blocked, terms, points):
     memory = heading_memory(traction.shape[2])
     for k in range(out.size):
         row0, col0, row1, col1 = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
-        out[k] = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
+        out[k] = driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
     return out
 
 
@@ -448,7 +499,7 @@ def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
         Rise per metre.
     blocked : ndarray of uint8, (rows, cols)
         `Blocked` codes.
-    terms : ndarray of float64, (6,)
+    terms : ndarray of float64, (9,)
         Terms of the price.
     turn_j_per_rad : float
         Energy of turning on the spot [J/rad].

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.frames import heading_of, wrap_angle
 from joulemap.model.threads import both
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.pricing.integrator import MARGIN_PENALTY
 from joulemap.planner.pricing.move_prices import MovePrices
 from joulemap.planner.pricing.potential import even_surface, spare_bounds
 
@@ -41,6 +44,11 @@ class MoveTable:
         and the potential for negative prices are made of it.
     metric : bool
         Whether a search counts the length of every move [m] instead of its energy.
+    near : ndarray of uint32, (cells,) or (0,)
+        Bit n is set where move n leaves the cell nearer to ground that may not be driven than the robot's margin; empty
+        where no margin is kept.
+    near_j : ndarray of float64, (N,) or (0,)
+        What such a move costs more in a search [J].
     """
 
     offsets: NDArray[np.int64]
@@ -52,6 +60,8 @@ class MoveTable:
     rise_share: NDArray[np.float64]
     bound_per_m: NDArray[np.float64]
     metric: bool = False
+    near: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
+    near_j: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     @property
     def jump(self) -> NDArray[np.int64]:
@@ -95,8 +105,64 @@ def distance_table(table: MoveTable) -> MoveTable:
     MoveTable
         The table of distances, which needs no memory of its own.
     """
-    flat = np.zeros(1)
-    return replace(table, turn_j=np.zeros_like(table.turn_j), rise_share=flat, bound_per_m=flat + 1.0, metric=True)
+    flat, penalty = np.zeros(1), MARGIN_PENALTY * table.length_m if table.near.size else table.near_j
+    flat_prices = {"rise_share": flat, "bound_per_m": flat + 1.0, "near_j": penalty}
+    return replace(table, turn_j=np.zeros_like(table.turn_j), metric=True, **flat_prices)
+
+
+def with_margin(table: MoveTable, margin: float) -> MoveTable:
+    """Return the same moves, of which those near closed ones cost more.
+
+    Parameters
+    ----------
+    table : MoveTable
+        Priced moves.
+    margin : float
+        How far beside a move the same move must be open [cells], see `integrator.margin_cells`.
+
+    Returns
+    -------
+    MoveTable
+        It shares the energies; `table` itself where there is no margin or no closed move.
+
+    Notes
+    -----
+    Between centres, the moves from the cells around are looked at, so that a little more than the margin is kept.
+    """
+    if margin == 0.0:
+        return table
+    steps = math.ceil(margin)
+    around: list[list[tuple[int, int]]] = []
+    for drow, dcol in table.offsets / np.hypot(*table.offsets.T)[:, None]:
+        shifts = [(-dcol * margin * k / steps, drow * margin * k / steps) for k in range(-steps, steps + 1)]
+        ends = [[(math.floor(v + 1e-9), math.ceil(v - 1e-9)) for v in shift] for shift in shifts]
+        around.append(sorted({(i, j) for rows, cols in ends for i in rows for j in cols} - {(0, 0)}))
+    most = max(map(len, around))
+    near = _near_closed(table.energy, table.offsets, np.array([(cells * most)[:most] for cells in around]))
+    if not near.any():
+        return table
+    penalty_j = MARGIN_PENALTY * table.typical_j / float(table.length_m.mean()) * table.length_m
+    return replace(table, near=near, near_j=penalty_j)
+
+
+@njit(cache=True, nogil=True)
+def _near_closed(energy, offsets, around):
+    """The bit sets of moves near closed ones, (cells,) uint32; around : cells beside each move, (N, A, 2)."""
+    rows, cols, moves = energy.shape
+    near = np.zeros(rows * cols, dtype=np.uint32)
+    for i in range(rows):
+        for j in range(cols):
+            for n in range(moves):
+                if not math.isnan(energy[i, j, n]):
+                    continue
+                down, right = i + offsets[n, 0], j + offsets[n, 1]
+                if not (0 <= down < rows and 0 <= right < cols):
+                    continue  # it leaves the map
+                for k in range(around.shape[1]):
+                    a, b = i - around[n, k, 0], j - around[n, k, 1]
+                    if 0 <= a < rows and 0 <= b < cols:
+                        near[a * cols + b] |= np.uint32(1) << np.uint32(n)
+    return near
 
 
 def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:

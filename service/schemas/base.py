@@ -213,6 +213,7 @@ _ROBOT_WORDS = {
     "rolling_resistance": "coefficient of rolling resistance, dimensionless",
     "regeneration": "share of the energy released downhill that returns to the battery, 0..0.99",
     "turn_j_per_rad": "energy of turning, per radian [J/rad]",
+    "tracking_std_m": "standard deviation of how far beside its path the robot drives [m]; 0: paths keep no margin",
 }
 _KIND: dict[str, Any] = {f.name: str if f.name == "name" else float for f in fields(Robot)}
 _KIND_IN: dict[str, Any] = {key: Annotated[float, within(allowed)] for key, allowed in ROBOT.items()} | {"name": Name}

@@ -98,7 +98,8 @@ class Answers:
 def lattice_of(case: Case, real: Heightmap | None) -> CostLattice:
     heightmap = real if case.heightmap is None else case.heightmap()
     assert heightmap is not None, f"{case.name} needs the real heightmap: --real"
-    return build_lattice(heightmap, Robot(**case.robot), load_predictor(case.model))
+    robot = Robot(**case.robot, tracking_std_m=0.0)  # without margin and averaging, as when the answers were stored
+    return build_lattice(heightmap, robot, load_predictor(case.model))
 
 
 def price_sums(lattice: CostLattice) -> list[float]:

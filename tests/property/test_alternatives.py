@@ -32,7 +32,9 @@ ISLANDS = """
 
 @pytest.mark.parametrize("turn", [0.0, 0.01])
 def test_the_ways_round_two_islands_are_three(turn):
-    lattice, at = ascii_lattice(ISLANDS, robot=Robot(idle_power_w=0.5, speed_mps=0.5, turn_j_per_rad=turn))
+    lattice, at = ascii_lattice(
+        ISLANDS, robot=Robot(idle_power_w=0.5, speed_mps=0.5, turn_j_per_rad=turn, tracking_std_m=0.0)
+    )
     ends = [np.array(lattice.frame.rowcol(*at[name])) for name in "ab"]
     paths = alternative_paths(lattice, move_table(lattice), *ends, count=5, stretch=1.5)
     through = [next(int(row) for row, col in path.points if abs(col - 12) <= 1) for path in paths]
@@ -43,7 +45,9 @@ def test_the_ways_round_two_islands_are_three(turn):
 
 @pytest.mark.parametrize("turn", [0.0, 0.01])
 def test_the_any_angle_step_draws_no_other_way_into_the_best(turn):
-    lattice, at = ascii_lattice(ISLANDS, robot=Robot(idle_power_w=0.5, speed_mps=0.5, turn_j_per_rad=turn))
+    lattice, at = ascii_lattice(
+        ISLANDS, robot=Robot(idle_power_w=0.5, speed_mps=0.5, turn_j_per_rad=turn, tracking_std_m=0.0)
+    )
     plan = RoutePlanner(lattice).plan(at["a"], at["b"], alternatives=4)
     north_or_south = 2.0 * np.hypot(5.0, 4.0) + 14.0  # along the outer corners of both islands
     assert [way.length_m for way in plan.others] == pytest.approx([north_or_south] * 2, rel=0.02)

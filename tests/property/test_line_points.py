@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from joulemap.planner.any_angle.chords import chords_of
 from joulemap.planner.any_angle.line_points import cheapest_over_line_points
-from joulemap.planner.pricing.integrator import leg_prices_between, path_price
+from joulemap.planner.pricing.integrator import driven_prices, leg_prices_between, path_price
 from tests.reference.lattices import random_lattice
 
 ROWS, COLS = 5, 6
@@ -58,8 +58,9 @@ def test_it_is_the_cheapest_way_over_all_chords(seed, limit, regeneration, parts
     lattice.blocked[tuple(start)] = lattice.blocked[tuple(goal)] = 0
     for row, col in (start, goal):  # both are joined to the line points of all squares around them
         region[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2] = True
+    prices = driven_prices(lattice, 20.0)
     found = cheapest_over_line_points(
-        lattice, region, start.astype(float), goal.astype(float), parts=parts, typical_j=20.0
+        lattice, prices, region, start.astype(float), goal.astype(float), parts=parts, typical_j=20.0
     )
     graph = chord_graph(lattice, region, parts)
     ends = tuple((start * parts).tolist()), tuple((goal * parts).tolist())
@@ -74,7 +75,13 @@ def test_it_is_the_cheapest_way_over_all_chords(seed, limit, regeneration, parts
 def test_the_width_of_a_bucket_changes_nothing(width):
     lattice = random_lattice(np.random.default_rng(2), 20, 20, max_grade_deg=20.0, max_cross_slope_deg=20.0)
     lattice.blocked[2, 2] = lattice.blocked[17, 16] = 0
-    task = lattice, np.ones((20, 20), dtype=bool), np.array([2.0, 2.0]), np.array([17.0, 16.0])
+    task = (
+        lattice,
+        driven_prices(lattice, 20.0),
+        np.ones((20, 20), dtype=bool),
+        np.array([2.0, 2.0]),
+        np.array([17.0, 16.0]),
+    )
     usual, other = (cheapest_over_line_points(*task, parts=4, typical_j=j) for j in (20.0, 20.0 * width))
     assert len(usual)
     assert path_price(lattice, other) == pytest.approx(path_price(lattice, usual), rel=1e-6)

@@ -1,4 +1,7 @@
-"""Small lattices whose prices are known in closed form, made without the code under test."""
+"""Small lattices whose prices are known in closed form, made without the code under test.
+
+Their robots keep to their paths exactly, so that paths keep no margin and have exact answers.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ def uniform_lattice(rows: int, cols: int, price_per_m, *, headings: int = 16) ->
     """The same directional price F(heading) [J/m] everywhere, on flat ground, with nothing else to pay."""
     frame = GridFrame(0.0, float(rows), 1.0, rows, cols)
     values = np.asarray([price_per_m(h) for h in heading_bins(headings)], dtype=np.float32)
-    robot = Robot(idle_power_w=0.0)
+    robot = Robot(idle_power_w=0.0, tracking_std_m=0.0)
     zeros = np.zeros(frame.shape, dtype=np.float32)
     traction = np.broadcast_to(values, (*frame.shape, headings)).copy()
     return CostLattice(frame, robot, traction, zeros, np.zeros((*frame.shape, 2), np.float32), zeros.astype(np.uint8))
@@ -53,7 +56,7 @@ def uniform_lattice(rows: int, cols: int, price_per_m, *, headings: int = 16) ->
 def ascii_lattice(drawing: str, *, robot: Robot | None = None) -> tuple[CostLattice, dict[str, tuple[float, float]]]:
     """Flat ground at 1 J/m drawn in ASCII: `.` free, `#` blocked; letters are free and returned as world points."""
     lines = [line.strip() for line in drawing.strip().splitlines()]
-    robot = robot or Robot(idle_power_w=0.5, speed_mps=0.5)
+    robot = robot or Robot(idle_power_w=0.5, speed_mps=0.5, tracking_std_m=0.0)
     frame = GridFrame(0.0, float(len(lines)), 1.0, len(lines), len(lines[0]))
     blocked = np.array([[Blocked.STEP if c == "#" else Blocked.FREE for c in line] for line in lines], dtype=np.uint8)
     zeros = np.zeros(frame.shape, dtype=np.float32)
@@ -71,7 +74,7 @@ def ascii_lattice(drawing: str, *, robot: Robot | None = None) -> tuple[CostLatt
 
 def random_lattice(rng: np.random.Generator, rows: int, cols: int, *, headings: int = 8, **robot) -> CostLattice:
     """A random hilly surface with a rough random loss on top, and some blocked cells."""
-    truck = Robot(**({"max_grade_deg": 30.0, "max_cross_slope_deg": 30.0} | robot))
+    truck = Robot(**({"max_grade_deg": 30.0, "max_cross_slope_deg": 30.0, "tracking_std_m": 0.0} | robot))
     frame = GridFrame(100.0, 200.0, 1.0, rows, cols)
     col, row = np.meshgrid(np.arange(cols), np.arange(rows))
     z, g_east, g_north = np.zeros(frame.shape), np.zeros(frame.shape), np.zeros(frame.shape)

@@ -16,6 +16,8 @@ from joulemap.planner.pricing.integrator import path_price
 from joulemap.planner.pricing.moves import move_table
 from tests.reference.lattices import ascii_lattice, random_lattice, uniform_lattice
 
+EXACT = Robot(tracking_std_m=0.0)
+
 
 def test_a_straight_leg_bends_towards_cheaper_ground():
     lattice = ascii_lattice("\n".join(["." * 40] * 21))[0]
@@ -79,7 +81,7 @@ def test_a_passage_is_found_that_is_open_between_the_headings_of_moves():
     assert path_price(lattice, through_it) < 0.91 * path_price(lattice, around)
 
 
-@pytest.mark.parametrize("robot", [Robot(), Robot(turn_j_per_rad=30.0), Robot(regeneration=0.5)])
+@pytest.mark.parametrize("robot", [EXACT, replace(EXACT, turn_j_per_rad=30.0), replace(EXACT, regeneration=0.5)])
 def test_the_path_is_never_dearer_than_the_grid_and_keeps_its_ends(robot):
     answers = 0
     for seed in range(12):

@@ -10,7 +10,7 @@ from joulemap.model.robot import Robot
 from joulemap.planner.any_angle.bending import ACROSS, ON_LINE, bent
 from joulemap.planner.any_angle.newton import settled
 from joulemap.planner.any_angle.shortcuts import shortcuts
-from joulemap.planner.pricing.integrator import path_price, price_arrays
+from joulemap.planner.pricing.integrator import driven_prices, path_price, price_arrays
 from tests.reference.lattices import ascii_lattice
 
 LENGTH = 32.0
@@ -18,7 +18,7 @@ COLS = np.linspace(4.0, 4.0 + LENGTH, 9)
 
 
 def flat(turn_j_per_rad=0.0):
-    robot = Robot(idle_power_w=0.5, speed_mps=0.5, turn_j_per_rad=turn_j_per_rad)
+    robot = Robot(idle_power_w=0.5, speed_mps=0.5, turn_j_per_rad=turn_j_per_rad, tracking_std_m=0.0)
     return ascii_lattice("\n".join(["." * 41] * 21), robot=robot)[0]
 
 
@@ -26,7 +26,7 @@ def test_shortcuts_leave_out_the_vertices_of_a_zigzag():
     lattice = flat()
     zigzag = np.column_stack([np.where(np.arange(9) % 2, 12.0, 10.0), COLS])
     assert path_price(lattice, zigzag) > 1.1 * LENGTH
-    np.testing.assert_array_equal(shortcuts(lattice, zigzag), zigzag[[0, -1]])
+    np.testing.assert_array_equal(shortcuts(driven_prices(lattice, 1.0), zigzag), zigzag[[0, -1]])
 
 
 @pytest.mark.parametrize("turn_j_per_rad", [0.0, 2.0])
