@@ -108,11 +108,23 @@ def chords_of(parts: int, margin: float = 0.0) -> Chords:
         first.append(len(rows))
     down, right = np.array(list(headings)).T
     heading_rad = heading_of(right, -down)
-    columns = [np.array(column) for column in zip(*rows, strict=True)]
-    directions = np.column_stack(heading_vector(heading_rad))
-    begins = np.repeat(np.array(kinds) / parts, np.diff(first), axis=0)
-    beside = _beside(begins, directions[columns[2]], columns[3], columns[4], margin)
-    return Chords(np.array(kinds) / parts, np.array(first), *columns, directions, heading_rad, beside)
+    cell, kind, heading, length, corners, share, weights = (np.array(column) for column in zip(*rows, strict=True))
+    directions, places = np.column_stack(heading_vector(heading_rad)), np.array(kinds) / parts
+    beside = _beside(np.repeat(places, np.diff(first), axis=0), directions[heading], length, corners, margin)
+    return Chords(
+        places,
+        np.array(first),
+        cell,
+        kind,
+        heading,
+        length,
+        corners,
+        share,
+        weights,
+        directions,
+        heading_rad,
+        beside,
+    )
 
 
 def _beside(

@@ -106,8 +106,14 @@ def distance_table(table: MoveTable) -> MoveTable:
         The table of distances, which needs no memory of its own.
     """
     flat, penalty = np.zeros(1), MARGIN_PENALTY * table.length_m if table.near.size else table.near_j
-    flat_prices = {"rise_share": flat, "bound_per_m": flat + 1.0, "near_j": penalty}
-    return replace(table, turn_j=np.zeros_like(table.turn_j), metric=True, **flat_prices)
+    return replace(
+        table,
+        turn_j=np.zeros_like(table.turn_j),
+        rise_share=flat,
+        bound_per_m=flat + 1.0,
+        metric=True,
+        near_j=penalty,
+    )
 
 
 def with_margin(table: MoveTable, margin: float) -> MoveTable:
