@@ -1,7 +1,7 @@
 """Routes on a lattice that stays on disk: the search over tiles, then the any-angle step around what it found.
 
 Where the surroundings of the path that was found are small enough they are read, and searched as a lattice in memory
-is: the answer is the one that the whole map gives in memory. Of a longer path only the nearest corridor is improved.
+is: the answer is the one that the whole map gives in memory. A longer path is improved where it is.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import InputError
 from joulemap.planner.answers import Plan, RoundTrip
@@ -28,6 +28,7 @@ from joulemap.planner.any_angle.best import (
     shorter_of,
     tightened,
 )
+from joulemap.planner.grid.search import grid_search
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.avoid import checked_polygons
 from joulemap.planner.lattice.stored_lattice import StoredLattice
@@ -37,7 +38,7 @@ from joulemap.planner.on_disk.tiled_search import DEFAULT_MEMORY, TiledSearch
 from joulemap.planner.places import end_point
 from joulemap.planner.pricing.integrator import Points, margin_cells, metres_within_margin, path_price
 from joulemap.planner.pricing.move_prices import MovePrices
-from joulemap.planner.pricing.moves import move_table, with_margin
+from joulemap.planner.pricing.moves import MoveTable, distance_table, move_table, with_margin
 from joulemap.planner.questions.bound import quick_bound
 from joulemap.planner.route import Route, price_route
 
@@ -207,11 +208,16 @@ class StoredPlanner:
         start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
         report = _Shares(progress)
         half = 0.1 if neighbours in self._levels else 0.5  # the coarse level, where it is made now
-        shortest = self._straight(start, goal) if refine else None
+        straight = self._straight(start, goal) if refine else None
+        shortest = straight
         if shortest is None:
             shortest = self._searched(start, goal, neighbours, None, refine, report.part(0.0, 0.1))[0]
         level = self._level(neighbours, report.part(0.1, half))[1]
         points, details = self._searched(start, goal, neighbours, level, refine, report.part(half, 1.0))
+        if refine:
+            window = self._window(points)
+            points = self._best(window, start, goal, points)
+            shortest = self._shortest(window, start, goal, shortest) if straight is None else straight
         details |= {"planner": planner, "neighbours": neighbours, "refined": refine, "tiled": True}
         shortest = shorter_of(self.lattice, _of_distances(self.lattice), shortest, points)
         self._strip.read_along(shortest, cells=MARGIN_CELLS if refine else 4)
@@ -272,7 +278,7 @@ class StoredPlanner:
         refine: bool,
         progress: Callable[[float], None] | None,
     ) -> tuple[Points, dict[str, Any]]:
-        """The best path at any angle, or the shortest one where no coarse level is given."""
+        """The best path over grid moves, or the shortest one where no coarse level is given."""
         moves = (
             self._levels[neighbours][0] if neighbours in self._levels else MovePrices(self.stored.headings, neighbours)
         )
@@ -287,25 +293,34 @@ class StoredPlanner:
             "expanded": found.expanded,
             "tiles": found.tiles,
         }
-        if not refine:
-            return found.points, details
-        if level is not None:
-            return self._best(start, goal, found.points), details
-        distances = _of_distances(lattice)
-        return tightened(distances, found.points), details
+        return found.points, details
 
-    def _best(self, start: Points, goal: Points, points: Points) -> Points:
-        """The best path of all corridors around one, where these are small enough, else that one at any angle."""
+    def _window(self, points: Points) -> _Window | None:
+        """The map around a path, where that is small enough to be searched as a map in memory is."""
         shape = self.stored.frame.shape
         low = np.maximum(np.floor(points.min(axis=0)).astype(np.int64) - MARGIN_CELLS, 0)
         high = np.minimum(np.ceil(points.max(axis=0)).astype(np.int64) + MARGIN_CELLS + 1, shape)
         if int(np.prod(high - low)) > min(SURROUNDINGS_CELLS, self._memory // _BYTES_PER_CELL):
-            return improved(self.lattice, points)
+            return None
         around = self.stored.window(int(low[0]), int(high[0]), int(low[1]), int(high[1]))
-        table = with_margin(move_table(around, neighbours=ANY_ANGLE_NEIGHBOURS), margin_cells(around))
-        found = best_path(around, table, start - low, goal - low).points + low
+        table = move_table(around, neighbours=ANY_ANGLE_NEIGHBOURS)
+        return _Window(low, around, with_margin(table, margin_cells(around)))
+
+    def _best(self, window: _Window | None, start: Points, goal: Points, points: Points) -> Points:
+        """The best path of a window at any angle, else what becomes of a path over grid moves."""
+        if window is None:
+            return improved(self.lattice, points)
+        found = best_path(window.lattice, window.table, start - window.low, goal - window.low).points + window.low
         self._strip.read_along(found, cells=4)
         return found
+
+    def _shortest(self, window: _Window | None, start: Points, goal: Points, points: Points) -> Points:
+        """The shortest path of a window that holds one over grid moves, else what becomes of that."""
+        if window is not None and window.holds(points):
+            distances = _of_distances(window.lattice)
+            within = grid_search(distances, distance_table(window.table), start - window.low, goal - window.low).points
+            return tightened(distances, within) + window.low
+        return tightened(_of_distances(self.lattice), points)
 
     def _end(self, name: str, xy: tuple[float, float], notes: list[str], snap: bool) -> Points:
         x, y = float(xy[0]), float(xy[1])
@@ -321,6 +336,18 @@ class StoredPlanner:
         self._strip.read_along(points, cells=2)
         x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])
         return price_route(self.lattice, np.column_stack([x, y]), notes=notes)
+
+
+class _Window(NamedTuple):
+    """A part of the map in memory: its first (row, col), its lattice and the priced moves of that."""
+
+    low: NDArray[np.int64]
+    lattice: CostLattice
+    table: MoveTable
+
+    def holds(self, points: Points) -> bool:
+        """Whether all of a (row, col) polyline is in it."""
+        return bool(((points >= self.low) & (points <= self.low + np.array(self.lattice.frame.shape) - 1)).all())
 
 
 def _gap(energy_j: float, bound_j: float) -> float | None:
