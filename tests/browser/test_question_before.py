@@ -47,6 +47,7 @@ def tab(request: pytest.FixtureRequest, browser: Any, address: str, maps: list[s
         tab.page.evaluate(SLOW, [1, 0, 0])
         tab.page.click("#tab-route")
         tab.page.evaluate("document.querySelectorAll('#step-route details').forEach(one => { one.open = true; })")
+        tab.page.wait_for_selector("#answer:not(.stale)[aria-busy=false] .verdict")  # what it shows moves the box
         tab.page.check("#turn-back")
         current(tab)
         yield tab
