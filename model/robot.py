@@ -54,8 +54,8 @@ class Robot:
     turn_j_per_rad : float
         Energy of turning by one radian [J/rad].
     tracking_std_m : float
-        Standard deviation of how far beside its path the robot drives [m]. Paths keep three times that, and at least
-        half a cell, between them and ground that may not be driven; with 0 they keep nothing.
+        Standard deviation of how far beside its path the robot drives [m]. Paths keep three times that, at least
+        half a cell and at most three, between them and ground that may not be driven; with 0 they keep nothing.
 
     Raises
     ------

@@ -44,7 +44,7 @@ AROUND = 2
 SLIDES = (1 / 16, 1 / 32, 1 / 64)
 """Shifts along the lines between centres [cells]: halves of what the line points leave, and so on."""
 PROBES = np.array([0.25, 0.0625])
-"""Probes of Newton's method, for vertices a cell apart [cells]."""
+"""Offsets of the finite differences in Newton's method, for vertices a cell apart [cells]."""
 BENDS = (0.25, 0.125, 1 / 32)
 """Shifts of vertices half a cell apart [cells]: a path may bend within a cell."""
 LONG_SHIFTS = (4.0, 1.0)

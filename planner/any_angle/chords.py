@@ -9,7 +9,7 @@ these sides. Points that divide them, joined by straight chords across a square 
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -68,7 +68,7 @@ class Chords(NamedTuple):
     beside: NDArray[np.int64]
 
 
-@cache
+@lru_cache(maxsize=8)
 def chords_of(parts: int, margin: float = 0.0) -> Chords:
     """The chords between points that divide each side of a square into `parts`.
 

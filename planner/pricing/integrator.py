@@ -20,8 +20,9 @@ from joulemap.planner.pricing.kernels import (
 )
 
 Points = NDArray[np.float64]
-LEAST_MARGIN_CELLS = 0.5
-"""Least margin to ground that may not be driven, for a robot that does not keep to its path exactly."""
+LEAST_MARGIN_CELLS, MOST_MARGIN_CELLS = 0.5, 3.0
+"""Least and largest margin to ground that may not be driven, for a robot that does not keep to its path exactly. Within
+a wider one every leg would take long to price; a coarser map keeps it."""
 MARGIN_PENALTY = 10.0
 """A leg within the margin counts as if it were so much longer: the margin is given up only where keeping it would
 cost more."""
@@ -74,11 +75,11 @@ def margin_cells(lattice: CostLattice) -> float:
     Returns
     -------
     float
-        Three standard deviations of the robot's tracking, and at least half a cell [cells]; 0 for one that keeps to its
-        path exactly.
+        Three standard deviations of the robot's tracking, within `LEAST_MARGIN_CELLS` and `MOST_MARGIN_CELLS`; 0 for one
+        that keeps to its path exactly [cells].
     """
     std = lattice.robot.tracking_std_m / lattice.frame.resolution_m
-    return max(LEAST_MARGIN_CELLS, 3.0 * std) if std > 0.0 else 0.0
+    return min(max(LEAST_MARGIN_CELLS, 3.0 * std), MOST_MARGIN_CELLS) if std > 0.0 else 0.0
 
 
 class Prices(NamedTuple):
@@ -134,7 +135,8 @@ def driven_prices(lattice: CostLattice, cell_j: float) -> Prices:
     prices, margin = exact_prices(lattice), margin_cells(lattice)
     if margin > 0.0:
         std = lattice.robot.tracking_std_m / lattice.frame.resolution_m
-        prices.terms[6:] = margin, 0.5 * (std / margin) ** 2, MARGIN_PENALTY * cell_j
+        weight = min(0.5 * (std / margin) ** 2, 1.0 / 3.0)  # at most the plain mean of the three legs
+        prices.terms[6:] = margin, weight, MARGIN_PENALTY * cell_j
     return prices
 
 

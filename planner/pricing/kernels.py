@@ -375,9 +375,9 @@ def driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, ro
     mean, down, right = price, drow / length * margin, dcol / length * margin
     longer = length / (length + 2.0 * margin)
     for k in range(-steps, steps + 1):
-        aside = k / steps
-        begin_row, begin_col = row0 + aside * right - down, col0 - aside * down - right
-        end_row, end_col = row1 + aside * right + down, col1 - aside * down + right
+        share = k / steps
+        begin_row, begin_col = row0 + share * right - down, col0 - share * down - right
+        end_row, end_col = row1 + share * right + down, col1 - share * down + right
         beside = leg_energy_with(
             memory, traction, gradient, blocked, terms, begin_row, begin_col, end_row, end_col, math.inf
         )

@@ -41,9 +41,9 @@ from tests.bench.maps import terrain
 STORED = Path(__file__).parent / "stored_answers.npz"
 SEED = 51
 LEAST_CELLS = 5
-"""Start and goal are so many rows or columns apart at least."""
+"""Least distance between start and goal, in rows or in columns."""
 ROUTE_POINTS = 33
-"""Points of a stored route, equally far apart along it, rounded to a hundredth of a cell."""
+"""Points of a stored route, evenly spaced along it and rounded to a hundredth of a cell."""
 OTHER_WAY_CELLS = 3.0
 """A route goes another way than the stored one if a point of that one is farther from it than this."""
 SAME_PRICES = 1e-5
@@ -103,7 +103,7 @@ def lattice_of(case: Case, real: Heightmap | None) -> CostLattice:
 
 
 def price_sums(lattice: CostLattice) -> list[float]:
-    """What tells lattices apart: how many moves are open, and two weighted sums of their energies [J]."""
+    """A fingerprint of a lattice's prices: the number of open moves, and two weighted sums of their energies [J]."""
     energy = move_table(lattice, neighbours=16).energy.astype(np.float64).ravel()
     known = np.flatnonzero(np.isfinite(energy))
     values = energy[known]

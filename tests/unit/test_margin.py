@@ -92,13 +92,13 @@ def share_closed(lattice, path, rng):
     return np.mean([np.isnan(path_price(lattice, path + shift)) for shift in rng.normal(0.0, 0.1, (20, 2))])
 
 
-@pytest.mark.parametrize(("std", "spacing"), [(0.1, 1.0), (0.4, 1.0), (0.1, 0.25)])
+@pytest.mark.parametrize(("std", "spacing"), [(0.1, 1.0), (0.4, 1.0), (0.1, 0.25), (5.0, 1.0)])
 def test_the_price_of_a_driven_leg_is_the_mean_of_three_side_by_side(std, spacing):
     lattice = random_lattice(np.random.default_rng(1), 30, 30, tracking_std_m=std)
     lattice = replace(lattice, frame=replace(lattice.frame, resolution_m=spacing), gradient=0.0 * lattice.gradient)
     lattice.blocked[:] = 0
     margin = margin_cells(lattice)
-    assert margin == pytest.approx(max(0.5, 3.0 * std / spacing))
+    assert margin == pytest.approx(min(max(0.5, 3.0 * std / spacing), 3.0))
     leg = np.array([[12.0, 9.0], [15.0, 18.0]])
     along = np.diff(leg, axis=0)[0] / np.hypot(3.0, 9.0)
     across = np.array([along[1], -along[0]])
@@ -106,6 +106,6 @@ def test_the_price_of_a_driven_leg_is_the_mean_of_three_side_by_side(std, spacin
     sides = [longer + sign * margin * across for sign in (-1.0, 1.0)]
     exact, *beside = (leg_prices_between(lattice, line[:1], line[1:])[0] for line in (leg, *sides))
     share = np.hypot(3.0, 9.0) / (np.hypot(3.0, 9.0) + 2.0 * margin)
-    weight = 0.5 * (std / spacing / margin) ** 2
+    weight = min(0.5 * (std / spacing / margin) ** 2, 1.0 / 3.0)
     expected = exact + weight * (share * sum(beside) - 2.0 * exact)
     assert path_energy(*driven_prices(lattice, 10.0), leg) == pytest.approx(expected, rel=1e-9)
