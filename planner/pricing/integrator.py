@@ -75,8 +75,8 @@ def margin_cells(lattice: CostLattice) -> float:
     Returns
     -------
     float
-        Three standard deviations of the robot's tracking, within `LEAST_MARGIN_CELLS` and `MOST_MARGIN_CELLS`; 0 for one
-        that keeps to its path exactly [cells].
+        Three standard deviations of the robot's tracking, within `LEAST_MARGIN_CELLS` and `MOST_MARGIN_CELLS`; 0 for
+        one that keeps to its path exactly [cells].
     """
     std = lattice.robot.tracking_std_m / lattice.frame.resolution_m
     return min(max(LEAST_MARGIN_CELLS, 3.0 * std), MOST_MARGIN_CELLS) if std > 0.0 else 0.0
