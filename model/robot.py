@@ -18,7 +18,7 @@ from joulemap.model.battery import Battery as Battery
 from joulemap.model.errors import RobotError, nearest_name
 
 GRAVITY_MPS2 = 9.80665
-"""Standard gravity [m/s2]. Source: CGPM 1901."""
+"""Standard gravity of the Earth [m/s2], the default of a robot. Source: CGPM 1901."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,8 @@ class Robot:
     tracking_std_m : float
         Standard deviation of how far beside its path the robot drives [m]. Paths keep three times that, at least
         half a cell and at most three, between them and ground that may not be driven; with 0 they keep nothing.
+    gravity_mps2 : float
+        Gravity where it drives [m/s2]: 1.62 on the Moon, 3.71 on Mars.
 
     Raises
     ------
@@ -82,6 +84,7 @@ class Robot:
     regeneration: float = 0.0
     turn_j_per_rad: float = 0.0
     tracking_std_m: float = 0.1
+    gravity_mps2: float = GRAVITY_MPS2
 
     def __post_init__(self) -> None:
         for key, allowed in ranges.ROBOT.items():
@@ -110,13 +113,14 @@ class Robot:
             )
 
     def __repr__(self) -> str:
+        elsewhere = "" if self.gravity_mps2 == GRAVITY_MPS2 else f", under a gravity of {self.gravity_mps2:g} m/s2"
         return (
             f"Robot {self.name}: {self.mass_kg:g} kg, {self.width_m:g} m wide, {self.length_m:g} m long, wheels of "
             f"{self.wheel_radius_m:g} m radius, {self.speed_mps:g} m/s, battery {self.battery_wh:g} Wh at "
             f"{self.nominal_voltage_v:g} V, {self.idle_power_w:g} W idle, limits {self.max_grade_deg:g} deg along and "
             f"{self.max_cross_slope_deg:g} deg across the slope, rolling resistance {self.rolling_resistance:g}, "
             f"regeneration {self.regeneration:g}, turning {self.turn_j_per_rad:g} J/rad, "
-            f"{self.tracking_std_m:g} m beside its path"
+            f"{self.tracking_std_m:g} m beside its path{elsewhere}"
         )
 
     @classmethod
@@ -196,8 +200,8 @@ class Robot:
 
     @property
     def weight_n(self) -> float:
-        """Weight, mass times standard gravity [N]."""
-        return self.mass_kg * GRAVITY_MPS2
+        """Weight, mass times gravity [N]."""
+        return self.mass_kg * self.gravity_mps2
 
     @property
     def hotel_per_m(self) -> float:

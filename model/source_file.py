@@ -20,11 +20,17 @@ class SourceFile:
         What messages call it.
     head : bytes
         Its first 512 bytes, fewer where it is shorter.
+    alone : bool
+        Whether no other file may be opened with it, because somebody else sent it. Bytes are always alone.
+    beside : tuple of (str, bytes)
+        Name and content of the files that came with it, in a zip.
     """
 
     place: Path | bytes
     name: str
     head: bytes
+    alone: bool = False
+    beside: tuple[tuple[str, bytes], ...] = ()
 
     @property
     def size_bytes(self) -> int:

@@ -157,7 +157,7 @@ def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery
         If the battery's cut-off voltage is above every voltage that it has.
     """
     return judge_course(
-        course_of(routes, mass_kg=lattice.robot.mass_kg),
+        course_of(routes, weight_n=lattice.robot.weight_n),
         battery,
         nominal_voltage_v=lattice.robot.nominal_voltage_v,
         odds=odds_along(routes),

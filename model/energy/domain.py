@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from joulemap.model.errors import ModelError
-from joulemap.model.robot import Robot
+from joulemap.model.robot import GRAVITY_MPS2, Robot
 from joulemap.model.terrain.heightmap import Heightmap
 
 ROBOT_KEYS = ("mass_kg", "width_m", "length_m", "wheel_radius_m", "speed_mps", "rolling_resistance")
@@ -137,6 +137,8 @@ class Domain:
             if not low * (1.0 - TOLERANCE) <= value <= high * (1.0 + TOLERANCE):
                 label = "idle power / (speed x weight)" if key == "hotel_over_weight" else key
                 found.append(f"{label} = {value:.3g} is outside the {low:.3g}..{high:.3g} the network learned")
+        if abs(robot.gravity_mps2 - GRAVITY_MPS2) > 0.01 * GRAVITY_MPS2:
+            found.append(f"gravity_mps2 = {robot.gravity_mps2:.3g} is not that of the Earth, where the network learned")
         if "speed_mps" in self.driven:
             low, high = self.driven["speed_mps"]
             if not low * (1.0 - TOLERANCE) <= robot.speed_mps <= high * (1.0 + TOLERANCE):

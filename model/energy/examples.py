@@ -15,7 +15,7 @@ from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.robot_features import FEATURES, robot_features
 from joulemap.model.errors import InputError
-from joulemap.model.robot import GRAVITY_MPS2, Robot
+from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
@@ -216,7 +216,7 @@ def cut_examples(
     def _kept(values: FloatArray) -> NDArray[np.float32]:
         return values[known].astype(np.float32)
 
-    weight_n = GRAVITY_MPS2 * (robot.mass_kg + np.asarray(arrays[5], dtype=np.float64).ravel())
+    weight_n = robot.gravity_mps2 * (robot.mass_kg + np.asarray(arrays[5], dtype=np.float64).ravel())
     return Examples(
         inputs[known],
         np.tile(robot_features(robot, heightmap.resolution_m), (n, 1)),

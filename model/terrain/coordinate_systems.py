@@ -21,6 +21,8 @@ _CRS_TEXT = re.compile(r"\s*(?:[A-Za-z]+:\d{1,9}\s*$|[A-Za-z_]+\[)")
 _PROJECTION = re.compile(r'PROJECTION\["([^"]+)"')
 _MERCATOR = ("mercator_1sp", "mercator_2sp", "mercator_auxiliary_sphere", "popular_visualisation_pseudo_mercator")
 _UTM_LATITUDES = (-80.0, 84.0)
+_EARTH_M = 6_378_137.0  # WGS 84
+_SAME_BODY = 0.01  # spheres and old ellipsoids of the Earth differ by less
 
 
 def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: bool = False) -> str:
@@ -124,6 +126,46 @@ def known_crs(crs: CRS | str) -> CRS:
         ) from error
 
 
+def geographic(crs: CRS | str) -> str:
+    """Return the longitudes and latitudes of the body that a CRS lies on.
+
+    Parameters
+    ----------
+    crs : CRS or str
+        Any.
+
+    Returns
+    -------
+    str
+        "EPSG:4326" on the Earth, else the geographic CRS in WKT that `crs` is based on.
+    """
+    from pyproj import CRS as ProjCRS
+
+    known = ProjCRS.from_wkt(known_crs(crs).to_wkt())
+    if known.ellipsoid is None or known.geodetic_crs is None or on_earth(crs):
+        return "EPSG:4326"
+    return str(known.geodetic_crs.to_wkt())
+
+
+def on_earth(crs: CRS | str) -> bool:
+    """Decide whether a CRS lies on the Earth, by the size of its ellipsoid.
+
+    Parameters
+    ----------
+    crs : CRS or str
+        Any.
+
+    Returns
+    -------
+    bool
+        True also where it names none.
+    """
+    from pyproj import CRS as ProjCRS
+
+    body = ProjCRS.from_wkt(known_crs(crs).to_wkt()).ellipsoid
+    return body is None or abs(body.semi_major_metre / _EARTH_M - 1.0) < _SAME_BODY
+
+
 def scale_errors(crs: str, longitude: ArrayLike, latitude: ArrayLike) -> NDArray[np.float64]:
     """Return by how much a CRS stretches lengths.
 
@@ -158,7 +200,7 @@ def _check_projection(wkt: str, short: str) -> None:
     from pyproj.exceptions import ProjError
 
     try:
-        Transformer.from_crs("EPSG:4326", ProjCRS.from_wkt(wkt), always_xy=True)
+        Transformer.from_crs(geographic(wkt), ProjCRS.from_wkt(wkt), always_xy=True)
     except ProjError as error:
         raise HeightmapError(
             f"the coordinate reference system cannot be used ({short}): {str(error)[:200]}", crs=short
@@ -172,6 +214,8 @@ def _centre(crs: CRS, bounds: Bounds | None) -> tuple[float, float] | None:
     west, south, east, north = bounds
     try:
         with rasterio.Env(**GDAL_OPTIONS):
+            if not on_earth(crs):
+                return None
             (longitude,), (latitude,) = warp.transform(crs, "EPSG:4326", [(west + east) / 2], [(south + north) / 2])
     except Exception as error:
         if not is_gdal_error(error):

@@ -209,6 +209,11 @@ class PartReader:
         """Coordinate reference system."""
         return self.whole.crs
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of the file."""
+        return self.whole.notes
+
     def read(self, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
         """Return the heights of a window of the part.
 

@@ -55,6 +55,23 @@ class Decoded:
         rows, cols = self.heights.shape
         return rows, cols
 
+    def read(self, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
+        """Return the heights of a window, which are in metres already.
+
+        Parameters
+        ----------
+        scaling : Scaling
+            Not used.
+        rows, cols : slice
+            The window; row 0 is the northern one.
+
+        Returns
+        -------
+        ndarray of float32, (rows, cols)
+            Heights [m], NaN where unknown.
+        """
+        return self.heights[rows, cols]
+
 
 @dataclass(frozen=True)
 class Scaling:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from joulemap.model.terrain.coordinate_systems import known_crs, scale_errors
+from joulemap.model.terrain.coordinate_systems import geographic, known_crs, on_earth, scale_errors
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.windows import Ground, overview
 
@@ -15,6 +15,9 @@ STEEPEST = math.tan(math.radians(60.0))
 
 MOST_SCALE_ERROR = 0.005
 """Lengths that are wrong by more than this are said: half a per cent of the energy of a level path."""
+
+EARTH_M = (-11_000.0, 9_000.0)
+"""The Challenger Deep lies at -10,935 m, Everest at 8,849 m."""
 
 _LEAST_CELLS = 400
 _LINES = 512  # rows and columns, at least so many where there are as many, along which steps are taken for their median
@@ -35,9 +38,10 @@ def heightmap_warnings(ground: Ground) -> list[str]:
     list of str
         A sentence for each finding; empty where all is plausible.
     """
-    sample = overview(ground)
+    sample, frame = overview(ground), ground.frame
     found = _heights(sample)
-    frame = ground.frame
+    if frame.crs is None or on_earth(frame.crs):
+        found = [*_beyond_earth(sample), *found]
     if frame.crs is None:
         if max(abs(frame.west_m), abs(frame.north_m)) > _FAR_M:
             found.append(
@@ -51,7 +55,7 @@ def heightmap_warnings(ground: Ground) -> list[str]:
     from pyproj import Transformer
 
     west, south, east, north = frame.bounds
-    move = Transformer.from_crs(crs.to_wkt(), "EPSG:4326", always_xy=True)
+    move = Transformer.from_crs(crs.to_wkt(), geographic(crs), always_xy=True)
     lon, lat = move.transform((west + east) / 2, (south + north) / 2)
     if math.isfinite(lon) and math.isfinite(lat):
         errors = scale_errors(frame.crs, lon, lat)
@@ -75,7 +79,7 @@ def _heights(sample: Heightmap) -> list[str]:
     if not steps.size:
         return []
     slope = float(np.median(steps)) / sample.resolution_m
-    found = []
+    found = _zeros(sample)
     whole = bool((known == np.round(known)).all()) and float(np.ptp(known)) >= _WHOLE_RANGE_M
     if slope > STEEPEST:
         unit = "centimetres: then `scale_m` is 0.01" if slope > 10 * STEEPEST or whole else "another unit than metres"
@@ -89,3 +93,37 @@ def _heights(sample: Heightmap) -> list[str]:
             "nearly level; use a map with decimals, or a smoothed one"
         )
     return found
+
+
+def _beyond_earth(sample: Heightmap) -> list[str]:
+    known = sample.heights[~np.isnan(sample.heights)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    if EARTH_M[0] <= low and high <= EARTH_M[1]:
+        return []
+    return [
+        f"its heights are {low:.0f} to {high:.0f} m, and the ground of the Earth lies between {EARTH_M[0]:.0f} and "
+        f"{EARTH_M[1]:.0f} m: another unit (`scale_m` is 0.1 for decimetres, 0.01 for centimetres), or unknown heights "
+        "(`nodata`)?"
+    ]
+
+
+def _zeros(sample: Heightmap) -> list[str]:
+    """Blocks of exactly 0 with walls around them are unknown heights, and not a sea."""
+    heights = sample.heights
+    zero = heights == 0.0
+    if not ((zero[:-1] & zero[1:]).any() or (zero[:, :-1] & zero[:, 1:]).any()):
+        return []
+    beside = [
+        np.concatenate([np.abs(b[za & ~zb]), np.abs(a[zb & ~za])])
+        for a, b, za, zb in (
+            (heights[:-1], heights[1:], zero[:-1], zero[1:]),
+            (heights[:, :-1], heights[:, 1:], zero[:, :-1], zero[:, 1:]),
+        )
+    ]
+    steps = np.concatenate([each[~np.isnan(each)] for each in beside])
+    if not steps.size or float(np.median(steps)) <= STEEPEST * sample.resolution_m:
+        return []
+    return [
+        f"{int(zero.sum()):,} cells are exactly 0 m, and the ground beside them is {float(np.median(steps)):.4g} m away "
+        "from that: are they unknown? Then give `nodata` as 0"
+    ]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from pathlib import Path
+from typing import Any
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
@@ -14,12 +16,17 @@ from joulemap.model.terrain.cut_out import PartReader, WindowLike, cells_of, tra
 from joulemap.model.terrain.decoded import MAX_SIDE, SAME_LENGTH, Decoded, Scaling, check_cells
 from joulemap.model.terrain.formats import FORMATS, formats_in_words
 from joulemap.model.terrain.formats.contract import HeightmapFormat, WindowReader
+from joulemap.model.terrain.formats.zipped import unpacked
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.plausible import heightmap_warnings
 from joulemap.model.terrain.reproject import reproject_file
 from joulemap.model.terrain.windows import Ground, HeightmapFile
 
 MAX_CELLS = 400_000_000
 """Default limit of declared cells: 1.6 GB of float32."""
+
+ASKED_FOR = ("reprojected from", "a window")
+"""What notes begin with that tell of what the user asked for."""
 
 _HEAD_BYTES = 512
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # a Path has lost one of the slashes
@@ -62,11 +69,11 @@ def read_heightmap(
     crs : str, optional
         Coordinate reference system, "EPSG:n" or WKT, where the file does not say. Its unit is the metre.
     scale_m, offset_m : float, optional
-        height = stored value * scale_m + offset_m. A PNG needs `scale_m`.
+        height = stored value * scale_m + offset_m. A picture (PNG) needs `scale_m`, unless its colours are heights.
     nodata : float, optional
         Stored value of unknown cells, in addition to those that the file declares.
     band : int, optional
-        Number of the band with the heights, from 1, for a GeoTIFF with several.
+        Number of the band with the heights, from 1, or of the variable, for a file with several.
     reproject : str, optional
         "auto", "EPSG:n" or WKT: resample a map in degrees, feet or Web Mercator, a rotated one or one whose cells are
         not square, to a north-up grid of true metres. "auto" takes the UTM zone, or keeps a CRS in true metres.
@@ -82,6 +89,11 @@ def read_heightmap(
     Heightmap
         Heights and their place.
 
+    Warns
+    -----
+    UserWarning
+        Of what was done to the heights by itself (their unit, colours), and of heights that are hardly in metres.
+
     Raises
     ------
     HeightmapError
@@ -90,68 +102,61 @@ def read_heightmap(
     TooLargeError
         If it declares more than `max_cells` cells; no memory is allocated for them.
     """
-    scaling = Scaling(scale_m, offset_m, nodata, resolution_m)
-    file = _opened(source, filename)
-    if window is not None and reproject is None and isinstance(file.place, Path):
-        reader = _format_of(file).open_windows(file.place, band=band)
-        if reader is not None:
-            part, frame = _part(reader, _frame(reader, resolution_m, west_m, north_m, crs), window)
-            check_cells(frame.rows, frame.cols, max_cells, what=f"the window of {file.name}")
-            heights = part.read(scaling, slice(0, frame.rows), slice(0, frame.cols))
-            return Heightmap(heights, frame, file.name, notes=(_window_note(frame),))
-    if reproject is not None:
-        warped, scaling = reproject_file(
-            file,
-            _format_of(file),
-            scaling,
-            to=reproject,
-            resolution_m=resolution_m,
-            west_m=west_m,
-            north_m=north_m,
-            crs=crs,
-            band=band,
-            window=window,
-            max_cells=max_cells,
-            max_cells_whole=max_cells,
-        )
-        rows, cols = warped.shape
-        heights = warped.read(scaling, slice(0, rows), slice(0, cols))
-        return Heightmap(heights, _frame(warped, None, 0.0, None, None), file.name, notes=(warped.note,))
-    decoded = _format_of(file).code.decode(file, scaling, max_cells=max_cells, band=band)
-    whole = _frame(decoded, resolution_m, west_m, north_m, crs)
-    if window is None:
-        return Heightmap(decoded.heights, whole, source=file.name, notes=decoded.notes)
-    cells = cells_of(window, whole.crs, transform_of(whole), whole.shape)
-    frame = whole.window(cells.row0, cells.row1, cells.col0, cells.col1)
-    heights = decoded.heights[cells.row0 : cells.row1, cells.col0 : cells.col1]
-    return Heightmap(heights.copy(), frame, source=file.name, notes=(*decoded.notes, _window_note(frame)))
+    options: Any = dict(locals())
+    heightmap = read_sent(options.pop("source"), alone=False, **options)
+    for words in (*heightmap.notes, *heightmap_warnings(heightmap)):
+        if not words.startswith(ASKED_FOR):
+            warnings.warn(words, stacklevel=2)
+    return heightmap
 
 
-def open_ground(
-    path: str | Path,
-    *,
-    filename: str | None = None,
-    resolution_m: float | None = None,
-    west_m: float = 0.0,
-    north_m: float | None = None,
-    crs: str | None = None,
-    scale_m: float | None = None,
-    offset_m: float = 0.0,
-    nodata: float | None = None,
-    band: int | None = None,
-    reproject: str | None = None,
-    window: WindowLike | None = None,
-) -> Ground:
+def read_sent(
+    source: str | Path | bytes, *, max_cells: int = MAX_CELLS, alone: bool = True, **options: Any
+) -> Heightmap:
+    """Read a heightmap that somebody else sent: no other file is opened, whatever it names, and nobody is warned.
+
+    Parameters
+    ----------
+    source : str, Path or bytes
+        The file, or all its bytes.
+    max_cells : int, optional
+        Largest number of cells.
+    alone : bool, optional
+        Whether files that lie beside it, or that it names, stay closed.
+    **options
+        The others of `read_heightmap`.
+
+    Returns
+    -------
+    Heightmap
+        Heights and their place; what is to be known of them is in its `notes`.
+
+    Raises
+    ------
+    HeightmapError
+        As `read_heightmap`.
+    TooLargeError
+        As `read_heightmap`.
+    """
+    ground = _ground(_source(source, options.pop("filename", None), alone=alone), max_cells, max_cells, **options)
+    if isinstance(ground, Heightmap):
+        return ground
+    rows, cols = ground.frame.shape
+    heights = ground.reader.read(ground.scaling, slice(0, rows), slice(0, cols))
+    return Heightmap(heights, ground.frame, ground.source, notes=ground.notes)
+
+
+def open_ground(path: str | Path, *, alone: bool = False, **options: Any) -> Ground:
     """Open a heightmap of any size: read by windows where its format can, and as a whole otherwise.
 
     Parameters
     ----------
     path : str or Path
         The file.
-    filename : str, optional
-        What messages call it, if not by its own name.
-    resolution_m, west_m, north_m, crs, scale_m, offset_m, nodata, band, reproject, window : optional
-        As in `read_heightmap`.
+    alone : bool, optional
+        Whether files that lie beside it, or that it names, stay closed.
+    **options
+        As in `read_heightmap`, but for `max_cells`.
 
     Returns
     -------
@@ -165,13 +170,34 @@ def open_ground(
     TooLargeError
         If the file is read as a whole and declares more than `MAX_CELLS` cells.
     """
+    source = _source(path, options.pop("filename", None), alone=alone)
+    return _ground(source, MAX_SIDE * MAX_SIDE, MAX_CELLS, **options)
+
+
+def _ground(
+    source: SourceFile,
+    max_cells: int,
+    max_cells_whole: int,
+    *,
+    resolution_m: float | None = None,
+    west_m: float = 0.0,
+    north_m: float | None = None,
+    crs: str | None = None,
+    scale_m: float | None = None,
+    offset_m: float = 0.0,
+    nodata: float | None = None,
+    band: int | None = None,
+    reproject: str | None = None,
+    window: WindowLike | None = None,
+) -> Heightmap | HeightmapFile:
+    """A file of up to `max_cells` cells, of `max_cells_whole` where its format is only read as a whole."""
     scaling = Scaling(scale_m, offset_m, nodata, resolution_m)
-    file = _opened(path, filename)
-    assert isinstance(file.place, Path)
+    file = unpacked(source, tuple(suffix for each in FORMATS for suffix in each.suffixes))
+    kind = _format_of(file)
     if reproject is not None:
         warped, scaling = reproject_file(
             file,
-            _format_of(file),
+            kind,
             scaling,
             to=reproject,
             resolution_m=resolution_m,
@@ -180,46 +206,33 @@ def open_ground(
             crs=crs,
             band=band,
             window=window,
-            max_cells=MAX_SIDE * MAX_SIDE,
-            max_cells_whole=MAX_CELLS,
+            max_cells=max_cells,
+            max_cells_whole=max_cells_whole,
         )
-        return HeightmapFile(warped, scaling, _frame(warped, None, 0.0, None, None), file.name, notes=(warped.note,))
-    reader = _format_of(file).open_windows(file.place, band=band)
+        return HeightmapFile(warped, scaling, _frame(warped, None, 0.0, None, None), file.name, notes=warped.notes)
+    most = max_cells if window is None else MAX_SIDE * MAX_SIDE
+    reader = kind.open_windows(file, scaling, band=band, max_cells=most)
+    whole = reader or kind.code.decode(file, scaling, max_cells=max_cells_whole, band=band)
+    frame, part, notes = _frame(whole, resolution_m, west_m, north_m, crs), whole, whole.notes
+    if window is not None:
+        cells = cells_of(window, frame.crs, transform_of(frame), frame.shape)
+        part, frame = PartReader(whole, cells), frame.window(cells.row0, cells.row1, cells.col0, cells.col1)
+        check_cells(frame.rows, frame.cols, max_cells, what=f"the window of {file.name}")
+        notes = (*notes, _window_note(frame))
     if reader is not None:
-        frame = _frame(reader, resolution_m, west_m, north_m, crs)
-        if window is None:
-            return HeightmapFile(reader, scaling, frame, file.name)
-        part, frame = _part(reader, frame, window)
-        return HeightmapFile(part, scaling, frame, file.name, notes=(_window_note(frame),))
-    return read_heightmap(
-        path,
-        filename=filename,
-        resolution_m=resolution_m,
-        west_m=west_m,
-        north_m=north_m,
-        crs=crs,
-        scale_m=scale_m,
-        offset_m=offset_m,
-        nodata=nodata,
-        band=band,
-        window=window,
-    )
-
-
-def _part(reader: WindowReader, whole: GridFrame, window: WindowLike) -> tuple[PartReader, GridFrame]:
-    """The part of a file that a window holds, and its frame."""
-    cells = cells_of(window, whole.crs, transform_of(whole), whole.shape)
-    return PartReader(reader, cells), whole.window(cells.row0, cells.row1, cells.col0, cells.col1)
+        return HeightmapFile(part, scaling, frame, file.name, notes=notes)
+    heights = part.read(scaling, slice(0, frame.rows), slice(0, frame.cols)).copy()
+    return Heightmap(heights, frame, file.name, notes=notes)
 
 
 def _window_note(frame: GridFrame) -> str:
     west, south, east, north = frame.bounds
-    return f"a window of the file was read: x {west:.2f}..{east:.2f}, y {south:.2f}..{north:.2f}"
+    return f"{ASKED_FOR[1]} of the file was read: x {west:.2f}..{east:.2f}, y {south:.2f}..{north:.2f}"
 
 
-def _opened(source: str | Path | bytes, filename: str | None) -> SourceFile:
+def _source(source: str | Path | bytes, filename: str | None, *, alone: bool) -> SourceFile:
     if isinstance(source, bytes):
-        return SourceFile(source, filename or "bytes", source[:_HEAD_BYTES])
+        return SourceFile(source, filename or "bytes", source[:_HEAD_BYTES], alone=True)
     if _URL.match(str(source)):
         raise HeightmapError(
             f"{str(source)[:200]} is a URL: joulemap reads files and asks no other machine. Download it "
@@ -236,7 +249,7 @@ def _opened(source: str | Path | bytes, filename: str | None) -> SourceFile:
             head = stream.read(_HEAD_BYTES)
     except OSError as error:
         raise HeightmapError(f"the file {source} cannot be read: {error.strerror}", path=str(source)) from error
-    return SourceFile(place, filename or place.name, head)
+    return SourceFile(place, filename or place.name, head, alone=alone)
 
 
 def _format_of(file: SourceFile) -> HeightmapFormat:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import rasterio
@@ -26,23 +25,17 @@ from joulemap.model.errors import HeightmapError
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.coordinate_systems import known_crs
 from joulemap.model.terrain.cut_out import WindowLike, cells_of
-from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
-from joulemap.model.terrain.formats.contract import HeightmapFormat
-from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS, opened, read_band
+from joulemap.model.terrain.decoded import Scaling, check_cells
+from joulemap.model.terrain.formats import raster as rasters
+from joulemap.model.terrain.formats.contract import HeightmapFormat, WindowReader
+from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS
+from joulemap.model.terrain.formats.raster import Raster
 from joulemap.model.terrain.target_grid import EDGE_POINTS, choose_crs, moved, new_grid, short_name
 
 _TOLERANCE_CELLS = 0.01  # of the places between which GDAL interpolates its transformation
 _COARSER = 2.0  # from this ratio of cells on, heights are averaged and not interpolated
 _WARP_MB = 64
 _SCAN_CELLS = 4_000_000
-_FEET = {
-    "ft": 0.3048,
-    "foot": 0.3048,
-    "feet": 0.3048,
-    "us survey foot": 1200 / 3937,
-    "us-ft": 1200 / 3937,
-    "ftus": 1200 / 3937,
-}
 
 
 @dataclass(frozen=True)
@@ -51,10 +44,8 @@ class Warped:
 
     Attributes
     ----------
-    place : Path or bytes
-        The file, or its bytes, as GeoTIFF.
-    band : int
-        Number of the band, from 1.
+    raster : Raster
+        The file, or a GeoTIFF of its heights.
     source_crs, crs : str or None
         Before and after; None where the file names none.
     source_transform : Affine
@@ -69,14 +60,11 @@ class Warped:
         Stored value that means unknown.
     undeclared : bool
         Whether nobody said which value that is, so that the usual ones are looked for.
-    factor : float
-        Metres per unit of the heights that the file declares.
-    note : str
+    notes : tuple of str
         What was done, for people.
     """
 
-    place: Path | bytes
-    band: int
+    raster: Raster
     source_crs: str | None
     crs: str | None
     source_transform: Affine
@@ -85,8 +73,7 @@ class Warped:
     resampling: Resampling
     nodata: float | None
     undeclared: bool
-    factor: float
-    note: str
+    notes: tuple[str, ...]
 
     @property
     def west_m(self) -> float:
@@ -125,18 +112,16 @@ class Warped:
         """
         heights = np.empty((rows.stop - rows.start, cols.stop - cols.start), np.float32)
         step = max(1, _SCAN_CELLS // max(1, heights.shape[1]))
-        with opened(self.place, "GTiff") as dataset, self._warped(dataset) as vrt:
-            scale, offset = dataset.scales[self.band - 1], dataset.offsets[self.band - 1]
+        with self.raster.dataset() as dataset, self._warped(dataset) as vrt:
+            scale, offset = self.raster.scales(dataset, scaling)
             for row in range(0, heights.shape[0], step):
                 high = min(step, heights.shape[0] - row)
                 window = Window(cols.start, rows.start + row, heights.shape[1], high)
                 if self.undeclared:
                     self._refuse_undeclared(dataset, scaling, window)
-                values = vrt.read(self.band, window=window)
+                values = vrt.read(self.raster.band, window=window)
                 known = ~np.isnan(values)  # a mask would be warped once more
-                heights[row : row + high] = scaling.to_metres(
-                    values, band_scale=scale * self.factor, band_offset=offset * self.factor, known=known
-                )
+                heights[row : row + high] = scaling.to_metres(values, band_scale=scale, band_offset=offset, known=known)
         return heights
 
     def _refuse_undeclared(self, dataset: DatasetReader, scaling: Scaling, window: Window) -> None:
@@ -158,7 +143,7 @@ class Warped:
             return
         step = max(1, _SCAN_CELLS // (cols.stop - cols.start))
         for first in range(rows.start, rows.stop, step):
-            read_band(dataset, self.band, scaling, slice(first, min(first + step, rows.stop)), cols)
+            self.raster.read_from(dataset, scaling, slice(first, min(first + step, rows.stop)), cols)
 
     @contextmanager
     def _warped(self, dataset: DatasetReader) -> Iterator[WarpedVRT]:
@@ -175,7 +160,7 @@ class Warped:
             resampling=self.resampling,
             src_nodata=self.nodata,
             nodata=math.nan,
-            dtype="float64" if dataset.dtypes[self.band - 1] in ("float64", "int32", "uint32") else "float32",
+            dtype="float64" if self.raster.dtype in ("float64", "int32", "uint32") else "float32",
             add_alpha=False,
             tolerance=_TOLERANCE_CELLS,
             warp_mem_limit=_WARP_MB,
@@ -237,34 +222,33 @@ def reproject_file(
     TooLargeError
         If the new grid has more than `max_cells` cells.
     """
-    from joulemap.model.terrain.formats import geotiff
-
-    place: Path | bytes = file.place
-    if kind.code is not geotiff:
-        decoded = kind.code.decode(file, scaling, max_cells=max_cells_whole, band=band)
+    if kind.code is rasters:
+        raster = rasters.open_windows(file, scaling, band=band, north_up=False)
+    if kind.code is not rasters or raster.colours is not None or raster.transform.is_identity:
+        whole = rasters.open_windows(file, scaling, band=band) if kind.code is rasters else None
+        decoded = whole or kind.code.decode(file, scaling, max_cells=max_cells_whole, band=band)
+        check_cells(*decoded.shape, max_cells_whole, what=file.name)
         if decoded.resolution_m is None and resolution_m is not None:
-            decoded, resolution_m = _with_cells(decoded, resolution_m), None
-        place, crs = _as_geotiff(decoded, west_m, north_m), decoded.crs or crs
-        scaling, band = Scaling(), 1
-    with opened(place, "GTiff") as dataset:
-        rows, cols = dataset.shape
-        check_cells(rows, cols, rows * cols, what=file.name)
-        number, factor = geotiff.checked_band(dataset, band, feet=_FEET)
-        geotiff.check_blocks(dataset, number)
-        own = dataset.crs.to_wkt() if dataset.crs else None
-        if own is not None and crs is not None and known_crs(own) != known_crs(crs):
-            raise HeightmapError(
-                f"`crs` {crs[:80]} was given, but the file says {short_name(own)}: leave it out", crs=crs[:80]
-            )
-        source_crs, transform = own or crs, dataset.transform
-        nodata = _nodata(dataset, number, scaling)
-        if transform.is_identity:
-            raise HeightmapError(
-                f"{file.name} does not say where its cells lie, so that it cannot be reprojected: leave `reproject` out"
-            )
-        undeclared = dataset.nodatavals[number - 1] is None and scaling.nodata is None
-        in_feet = own is not None and known_crs(own).linear_units.lower() in _FEET
-        unit_unknown = in_feet and not dataset.units[number - 1] and scaling.scale_m is None
+            side, resolution_m = resolution_m, None
+        elif decoded.resolution_m is None:
+            raise HeightmapError("the file does not say how large a cell is: give `resolution_m`")
+        else:
+            side = decoded.resolution_m
+        content = _as_geotiff(decoded, scaling, side, west_m, north_m)
+        crs, scaling = decoded.crs or crs, Scaling()
+        made = rasters.open_windows(SourceFile(content, file.name, content[:4], alone=True), scaling, north_up=False)
+        raster = replace(made, notes=decoded.notes)
+    rows, cols = raster.shape
+    own, transform = raster.own_crs, raster.transform
+    if own is not None and crs is not None and known_crs(own) != known_crs(crs):
+        raise HeightmapError(
+            f"`crs` {crs[:80]} was given, but the file says {short_name(own)}: leave it out", crs=crs[:80]
+        )
+    source_crs = own or crs
+    nodata = _nodata(raster, scaling)
+    undeclared = raster.nodata is None and scaling.nodata is None
+    in_feet = own is not None and abs(_unit_m(own) - 1.0) > 1e-9
+    unit_unknown = in_feet and not raster.unit_said and scaling.scale_m is None
     part = transform
     if window is not None:
         cells = cells_of(window, source_crs, transform, (rows, cols))
@@ -275,17 +259,14 @@ def reproject_file(
     check_cells(*shape, max_cells, what=f"{file.name}, reprojected to cells of {grid.a:g} m,")
     what = "" if window is None else "a window of the file was "
     note = f"{what}reprojected from {short_name(source_crs)} to {short_name(target)}{why}, with cells of {grid.a:g} m"
-    if factor != 1.0:
-        note += f"; its heights are in feet and were multiplied by {factor:.10g}"
-    elif unit_unknown:
-        note += (
-            "; the map is in feet and does not say the unit of its heights, which were taken for metres: give "
-            "`scale_m` as 0.3048 if they are feet, else as 1"
+    notes = [note, *raster.notes]
+    if unit_unknown:
+        notes.append(
+            "the map is in feet and does not say the unit of its heights, which were taken for metres: give `scale_m` as "
+            "0.3048 if they are feet, else as 1"
         )
     resampling = Resampling.average if grid.a > _COARSER * size else Resampling.bilinear
-    warped = Warped(
-        place, number, source_crs, target, transform, grid, shape, resampling, nodata, undeclared, factor, note
-    )
+    warped = Warped(raster, source_crs, target, transform, grid, shape, resampling, nodata, undeclared, tuple(notes))
     return warped, Scaling(scaling.scale_m, scaling.offset_m, None)
 
 
@@ -294,9 +275,15 @@ def _usable(crs: str | None) -> CRS:
     return known_crs(crs) if crs is not None else CRS.from_epsg(32630)
 
 
-def _nodata(dataset: DatasetReader, band: int, scaling: Scaling) -> float | None:
+def _unit_m(crs: str) -> float:
+    """Metres per unit of a CRS; 1 where it is in degrees."""
+    known = known_crs(crs)
+    return float(known.linear_units_factor[1]) if known.is_projected else 1.0
+
+
+def _nodata(raster: Raster, scaling: Scaling) -> float | None:
     """The one stored value that means unknown; NaN where none is declared and values may be NaN."""
-    declared = dataset.nodatavals[band - 1]
+    declared = raster.nodata
     if scaling.nodata is not None:
         if declared is not None and declared != scaling.nodata and not math.isnan(declared):
             raise HeightmapError(
@@ -305,21 +292,12 @@ def _nodata(dataset: DatasetReader, band: int, scaling: Scaling) -> float | None
                 nodata=scaling.nodata,
             )
         return scaling.nodata
-    if declared is None and np.dtype(dataset.dtypes[band - 1]).kind == "f":
-        return math.nan
-    return declared
+    return math.nan if declared is None and np.dtype(raster.dtype).kind == "f" else declared
 
 
-def _with_cells(decoded: Decoded, resolution_m: float) -> Decoded:
-    return replace(decoded, resolution_m=resolution_m)
-
-
-def _as_geotiff(decoded: Decoded, west_m: float, north_m: float | None) -> bytes:
+def _as_geotiff(decoded: WindowReader, scaling: Scaling, side: float, west_m: float, north_m: float | None) -> bytes:
     """Heights of any format as the bytes of a GeoTIFF, for GDAL's warper."""
-    if decoded.resolution_m is None:
-        raise HeightmapError("the file does not say how large a cell is: give `resolution_m`")
     rows, cols = decoded.shape
-    side = decoded.resolution_m
     west = decoded.west_m if decoded.west_m is not None else west_m
     north = next((edge for edge in (decoded.north_m, north_m) if edge is not None), rows * side)
     with rasterio.Env(**GDAL_OPTIONS), rasterio.MemoryFile() as memory:
@@ -333,5 +311,5 @@ def _as_geotiff(decoded: Decoded, west_m: float, north_m: float | None) -> bytes
             transform=Affine(side, 0.0, west, 0.0, -side, north),
             BIGTIFF="IF_SAFER",
         ) as dataset:
-            dataset.write(decoded.heights, 1)
+            dataset.write(decoded.read(scaling, slice(0, rows), slice(0, cols)), 1)
         return bytes(memory.getbuffer())

@@ -11,7 +11,7 @@ from rasterio.transform import Affine
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.ranges import RESOLUTION_M
-from joulemap.model.terrain.coordinate_systems import crs_name, known_crs, scale_errors, utm_zone
+from joulemap.model.terrain.coordinate_systems import crs_name, geographic, known_crs, on_earth, scale_errors, utm_zone
 
 FloatArray = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def choose_crs(crs: str | None, transform: Affine, rows: int, cols: int, to: str
     lon, lat = _places(crs, transform, [cols / 2], [rows / 2])
     if not (math.isfinite(lon[0]) and abs(lat[0]) <= 90.0):
         raise HeightmapError(
-            f"the middle of the map lies nowhere on Earth: is {short_name(crs)} its CRS?", crs=short_name(crs)
+            f"the middle of the map has no latitude and longitude: is {short_name(crs)} its CRS?", crs=short_name(crs)
         )
     try:
         kept = crs_name(crs)
@@ -69,6 +69,8 @@ def choose_crs(crs: str | None, transform: Affine, rows: int, cols: int, to: str
             return kept, " (kept: it is in true metres)"
     except HeightmapError:
         pass
+    if not on_earth(crs):
+        return _local_plane(geographic(crs), float(lon[0]), float(lat[0])), " (a plane around the middle of the map)"
     zone = utm_zone(float(lon[0]), float(lat[0]))
     if zone is not None:
         error = float(scale_errors(zone, lon, lat).max())
@@ -79,6 +81,16 @@ def choose_crs(crs: str | None, transform: Affine, rows: int, cols: int, to: str
         f"+proj=stere +lat_0={pole} +lat_ts={lat[0]:.4f} +lon_0={lon[0]:.4f} +datum=WGS84 +units=m +no_defs"
     ).to_wkt()
     return wkt, " (polar stereographic, true to scale at this latitude)"
+
+
+def _local_plane(body: str, lon: float, lat: float) -> str:
+    """A transverse Mercator projection of another body, through a place on it."""
+    from pyproj import CRS as ProjCRS
+
+    shape = ProjCRS.from_wkt(body).ellipsoid
+    assert shape is not None
+    size = f"+a={shape.semi_major_metre} +b={shape.semi_minor_metre}"
+    return str(CRS.from_string(f"+proj=tmerc +lat_0={lat:.4f} +lon_0={lon:.4f} +k=1 {size} +units=m +no_defs").to_wkt())
 
 
 def new_grid(
@@ -138,7 +150,7 @@ def _check_spread(target: str | None, x: FloatArray, y: FloatArray) -> None:
         return
     from pyproj import Transformer
 
-    lon, lat = Transformer.from_crs(target, "EPSG:4326", always_xy=True).transform(x, y)
+    lon, lat = Transformer.from_crs(target, geographic(target), always_xy=True).transform(x, y)
     errors = scale_errors(target, lon, lat)
     if errors.size and float(errors.max() - errors.min()) > _MOST_SPREAD:
         raise HeightmapError(
@@ -192,7 +204,7 @@ def moved(
 
 def _places(crs: str, transform: Affine, col: list[float], row: list[float]) -> tuple[FloatArray, FloatArray]:
     """Longitudes and latitudes [deg] of places on the file's grid."""
-    return moved(crs, "EPSG:4326", transform, np.array(col), np.array(row))
+    return moved(crs, geographic(crs), transform, np.array(col), np.array(row))
 
 
 def short_name(crs: str | None) -> str:

@@ -80,8 +80,8 @@ class Course:
         World x, y, z of the start [m].
     std_j : ndarray of float, (n,), or None
         Standard deviation of the energy of each piece alone [J]; None where the model gives none.
-    mass_kg : float or None
-        Of the robot that drives it [kg]; None where unknown.
+    weight_n : float or None
+        Of the robot that drives it [N]; None where unknown.
     """
 
     energy_j: FloatArray
@@ -93,7 +93,7 @@ class Course:
     way: NDArray[np.int64]
     start: tuple[float, float, float]
     std_j: FloatArray | None = None
-    mass_kg: float | None = None
+    weight_n: float | None = None
 
     def __len__(self) -> int:
         return int(self.energy_j.size)
@@ -187,15 +187,15 @@ class Course:
         )
 
 
-def course_of(routes: Sequence[Route], *, mass_kg: float | None = None) -> Course:
+def course_of(routes: Sequence[Route], *, weight_n: float | None = None) -> Course:
     """Return the course of routes that are driven one after another.
 
     Parameters
     ----------
     routes : sequence of Route
         In the order of driving, at least one.
-    mass_kg : float, optional
-        Of the robot [kg].
+    weight_n : float, optional
+        Of the robot [N].
 
     Returns
     -------
@@ -218,7 +218,7 @@ def course_of(routes: Sequence[Route], *, mass_kg: float | None = None) -> Cours
         np.repeat(np.arange(len(profiles)), [p.energy_j.size for p in profiles]),
         (x, y, z),
         np.concatenate(stds) if len(stds) == len(profiles) else None,
-        mass_kg,
+        weight_n,
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from joulemap.model.robot import GRAVITY_MPS2
 from joulemap.planner.verdict.trajectory import Course, Stretch
 from joulemap.planner.words import probability_words, watt_words
 
@@ -75,7 +74,7 @@ def _wh(energy_j: float) -> str:
 
 
 def _stretch(stretch: Stretch, course: Course, energy_j: float) -> str:
-    lift_j = math.nan if course.mass_kg is None else GRAVITY_MPS2 * course.mass_kg * stretch.rise_m
+    lift_j = math.nan if course.weight_n is None else course.weight_n * stretch.rise_m
     what = "climb" if lift_j >= _LIFTED * stretch.share * energy_j else "stretch"  # NaN: unknown, so a stretch
     ways = {1: ("the route",), 2: ("the way out", "the way back")}.get(course.ways)
     way = ways[stretch.way] if ways else f"leg {stretch.way + 1}"

@@ -132,6 +132,7 @@ def costmap(
         refuse_local(geotiff=geotiff, npz=npz, picture=picture, scheduler=scheduler)
         with service_at(server, key) as service, progress_bar("Cost map") as report:
             sent = service.heightmap(heightmap, **reading)
+            output.warn(sent.notes)
             map_there = service.costmap(
                 sent.id, robot=robot, model=model, spacing_m=spacing, headings=headings, progress=report
             )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
@@ -12,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 import typer
 
 from joulemap.model.errors import ConflictError, NotFoundError
-from joulemap.service.commands.console import parse_share
+from joulemap.service.commands.console import Output, parse_share
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
@@ -270,6 +272,22 @@ _READING: dict[str, tuple[str, Any, Any]] = {  # option -> what the library call
 }
 
 
+@contextmanager
+def _warnings_said() -> Iterator[None]:
+    """Say what `read_heightmap` warns of as commands say it, and not as Python does."""
+    usual = warnings.showwarning
+
+    def _say(message: Any, category: type[Warning], filename: str, *more: Any) -> None:
+        if category is UserWarning and "joulemap" in filename:
+            Output(None).warn([str(message)])
+        else:
+            usual(message, category, filename, *more)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = _say
+        yield
+
+
 def reads_heightmap(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command the options that say how its heightmap's file is to be read.
 
@@ -298,7 +316,8 @@ def reads_heightmap(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def with_options(**given: Any) -> None:
         reading = {key: given.pop(option) for option, (key, _, _) in _READING.items()}
-        command(reading=reading, **given)
+        with _warnings_said():
+            command(reading=reading, **given)
 
     with_options.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     with_options.__annotations__ = {p.name: p.annotation for p in parameters}

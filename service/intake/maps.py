@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from joulemap.model.terrain.plausible import heightmap_warnings
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.readers import read_sent
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.storage.stats import heightmap_stats
 
@@ -67,7 +67,7 @@ def read_map(
         If it has too many cells.
     """
     with guard.reading(Path(path)):
-        heightmap = read_heightmap(path, filename=name, max_cells=max_cells, **options)
+        heightmap = read_sent(path, filename=name, max_cells=max_cells, **options)
     with guard.keeping(heightmap.heights.size):
         stats = heightmap_stats(heightmap, band=options.get("band"))
         stats["notes"] = [*heightmap.notes, *heightmap_warnings(heightmap)]
@@ -78,7 +78,7 @@ def read_map(
 def load_gdal() -> None:
     """Load GDAL and PROJ with the formats that need them."""
     from joulemap.model.terrain import coordinate_systems
-    from joulemap.model.terrain.formats import geotiff
+    from joulemap.model.terrain.formats import raster
 
-    assert geotiff.recognise(b"II*\0", "")
+    assert raster.recognise(b"II*\0", "")
     coordinate_systems.crs_name("EPSG:32630")

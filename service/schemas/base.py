@@ -214,6 +214,7 @@ _ROBOT_WORDS = {
     "regeneration": "share of the energy released downhill that returns to the battery, 0..0.99",
     "turn_j_per_rad": "energy of turning, per radian [J/rad]",
     "tracking_std_m": "standard deviation of how far beside its path the robot drives [m]; 0: paths keep no margin",
+    "gravity_mps2": "gravity where it drives [m/s2]; 1.62 on the Moon, 3.71 on Mars",
 }
 _KIND: dict[str, Any] = {f.name: str if f.name == "name" else float for f in fields(Robot)}
 _KIND_IN: dict[str, Any] = {key: Annotated[float, within(allowed)] for key, allowed in ROBOT.items()} | {"name": Name}

@@ -15,7 +15,7 @@ from sqlalchemy import delete, select, text, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from joulemap.model.errors import JoulemapError
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.readers import read_sent
 from joulemap.planner.lattice.checked_store import CheckedStore
 from joulemap.planner.lattice.io import open_group
 from joulemap.service.storage.object_vault import ObjectVault
@@ -324,7 +324,7 @@ _ASKED_AGAIN: dict[str, Any] = {
 
 
 def _read_stats(path: Path, name: str) -> dict[str, Any]:
-    return heightmap_stats(read_heightmap(path, filename=name))
+    return heightmap_stats(read_sent(path, filename=name))
 
 
 def _delete(path: Path) -> None:

@@ -92,7 +92,7 @@ class KeptHeightmaps(Kept):
             If there is none.
         """
         name = self.heightmap(heightmap_id).name
-        return open_ground(self.here(self.heightmap_path(heightmap_id)), filename=name)
+        return open_ground(self.here(self.heightmap_path(heightmap_id)), filename=name, alone=True)
 
     def heightmaps(self, *, limit: int, offset: int) -> tuple[list[HeightmapRow], int]:
         """Return one page of the heightmaps, newest first.

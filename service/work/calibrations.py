@@ -16,7 +16,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import CalibrationRuns, read_calibration_runs, read_odometry_runs
 from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.sites import Site
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.readers import read_sent
 from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
 from joulemap.service.loop.error_words import advice
 from joulemap.service.loop.next_words import NextStep
@@ -142,7 +142,7 @@ def _read(order: Mapping[str, Any], robot: Robot) -> CalibrationRuns:
     files, base, test = ([Path(file) for file in order[key]] for key in ("runs", "base_runs", "test_runs"))
     if order["heightmap"] is None:
         return read_odometry_runs(files, Odometry(**order["odometry"]), robot, baseline_files=base, test_files=test)
-    ground = read_heightmap(Path(order["heightmap"]), filename=order["heightmap_name"])
+    ground = read_sent(Path(order["heightmap"]), filename=order["heightmap_name"])
     return read_calibration_runs([Site(ground, tuple(files), robot, tuple(base), tuple(test))])
 
 

@@ -74,11 +74,11 @@ def test_a_power_near_the_limit_is_no_yes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("top_m", "mass_kg", "word"), [(1.0, 10.0, "climb"), (0.2, 10.0, "stretch"), (1.0, None, "stretch")]
+    ("top_m", "weight_n", "word"), [(1.0, 98.0, "climb"), (0.2, 98.0, "stretch"), (1.0, None, "stretch")]
 )
-def test_a_climb_is_where_lifting_takes_most(top_m: float, mass_kg: float | None, word: str) -> None:
+def test_a_climb_is_where_lifting_takes_most(top_m: float, weight_n: float | None, word: str) -> None:
     """10 kg lifted by 1 m are 98 J of 110 J; by 0.2 m they are 20 J."""
-    way = replace(course(10.0, 55.0, 55.0, 10.0), z=np.array([0.0, top_m / 2, top_m, top_m]), mass_kg=mass_kg)
+    way = replace(course(10.0, 55.0, 55.0, 10.0), z=np.array([0.0, top_m / 2, top_m, top_m]), weight_n=weight_n)
     said = judge_course(way, Battery(capacity_wh=10.0), nominal_voltage_v=24.0).verdict_text
     assert f"the {word} that begins 1 m along the route and ends at 3 m takes 85 % of the energy" in said
 

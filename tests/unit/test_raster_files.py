@@ -17,7 +17,7 @@ from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.readers import read_heightmap, read_sent
 from joulemap.model.terrain.writers import write_bands_geotiff, write_geotiff
 from tests.reference.heightmap_files import HEIGHTS, ROUGH, UTM, geotiff, png
 
@@ -109,7 +109,7 @@ def test_south_up_geotiff_is_turned() -> None:
         ),
         ({"crs": "EPSG:3857", "transform": Affine(1.0, 0.0, -5e5, 0.0, -1.0, 4.4e6)}, r"by 24\.8 %.*EPSG:32630"),
         ({"crs": "EPSG:2229"}, r"foot.*0\.3048"),
-        ({"unit": "ft"}, "heights are in ft"),
+        ({"unit": "degree"}, "they are no heights"),
     ],
 )
 def test_geotiffs_off_the_metre_grid_are_refused(options: dict, words: str) -> None:
@@ -217,7 +217,19 @@ def test_blocks_that_were_never_written_are_no_ground_at_zero() -> None:
     assert read_heightmap(sparse(nodata=-9999.0)).known_share == 0.25
 
 
-def test_files_beside_the_geotiff_are_not_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("dm", 0.1), ("ft", 0.3048), ("US survey foot", 1200 / 3937)]
+)
+def test_heights_are_converted_from_the_unit_that_the_file_names(unit: str, metres: float) -> None:
+    converted = read_sent(geotiff(unit=unit))
+    np.testing.assert_allclose(converted.heights, HEIGHTS * metres, rtol=1e-6)
+    assert bool(converted.notes) == (unit != "m")
+    np.testing.assert_allclose(
+        read_sent(geotiff(unit=unit), scale_m=2.0).heights, HEIGHTS * 2.0
+    )  # the user knows better
+
+
+def test_files_beside_a_geotiff_are_read_where_they_are_the_users_own(tmp_path: Path) -> None:
     path = tmp_path / "map.tif"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -226,8 +238,10 @@ def test_files_beside_the_geotiff_are_not_read(tmp_path: Path) -> None:
     (tmp_path / "map.tif.aux.xml").write_text(
         "<PAMDataset><GeoTransform>0,3,0,0,0,-3</GeoTransform></PAMDataset>", encoding="utf-8"
     )
-    with pytest.raises(HeightmapError, match="resolution_m"):
-        read_heightmap(path)
+    assert read_heightmap(path).resolution_m == 3.0
+    for source in (path, path.read_bytes()):
+        with pytest.raises(HeightmapError, match="resolution_m"):
+            read_sent(source)
 
 
 def test_a_picture_with_a_colour_table_is_no_heightmap() -> None:
@@ -279,8 +293,8 @@ def test_png_needs_scale_and_resolution_and_one_channel() -> None:
         read_heightmap(data, scale_m=0.1)
     with pytest.raises(HeightmapError, match="`scale_m` must be"):
         read_heightmap(data, resolution_m=1.0, scale_m=-0.1)
-    with pytest.raises(HeightmapError, match="colour"):
-        read_heightmap(png(np.zeros((3, 6, 8), dtype=np.uint8)), resolution_m=1.0, scale_m=0.1)
+    with pytest.raises(HeightmapError, match="in colours which are no heights"):
+        read_heightmap(png(np.arange(144, dtype=np.uint8).reshape(3, 6, 8)), resolution_m=1.0, scale_m=0.1)
 
 
 def test_truncated_pngs_are_refused() -> None:

@@ -123,7 +123,7 @@ def test_where_a_zone_stretches_more_than_usual_it_is_said():
 
 def test_a_map_in_feet_that_does_not_say_the_unit_of_its_heights_says_so():
     content = made("EPSG:2263", Affine(3.28, 0, 980_000, 0, -3.28, 200_000))[0]
-    said = read_heightmap(content, filename="dem.tif", reproject="auto").notes[0]
+    said = read_heightmap(content, filename="dem.tif", reproject="auto").notes[1]
     assert "does not say the unit of its heights, which were taken for metres: give `scale_m` as 0.3048" in said
     for scale_m in (1.0, 0.3048):
         (said,) = read_heightmap(content, filename="dem.tif", reproject="auto", scale_m=scale_m).notes

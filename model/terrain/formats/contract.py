@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 if TYPE_CHECKING:
@@ -41,6 +40,10 @@ class WindowReader(Protocol):
     def crs(self) -> str | None:
         """Coordinate reference system, "EPSG:n" or WKT, None where the file does not say."""
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of the file."""
+
     def read(self, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
         """Return the heights of a window.
 
@@ -61,7 +64,8 @@ class WindowReader(Protocol):
 class FormatModule(Protocol):
     """The functions of a format's module.
 
-    A module may also have `open_windows(path, *, band) -> WindowReader`, for maps larger than memory.
+    A module may have `open_windows(source, scaling, *, band, max_cells) -> WindowReader` instead of `decode`, for maps larger
+    than memory.
     """
 
     def recognise(self, head: bytes, name: str) -> bool:
@@ -131,15 +135,21 @@ class HeightmapFormat:
         """The format's module, imported."""
         return cast(FormatModule, import_module(self.module, __package__))
 
-    def open_windows(self, path: Path, *, band: int | None) -> WindowReader | None:
+    def open_windows(
+        self, source: SourceFile, scaling: Scaling, *, band: int | None, max_cells: int
+    ) -> WindowReader | None:
         """Open a file for reading by windows, if the format can do that.
 
         Parameters
         ----------
-        path : Path
+        source : SourceFile
             A file of this format.
+        scaling : Scaling
+            How stored values become metres.
         band : int or None
             Band of a file with several, from 1.
+        max_cells : int
+            Largest number of cells.
 
         Returns
         -------
@@ -147,4 +157,6 @@ class HeightmapFormat:
             None where files of this format are only read as a whole.
         """
         opener = getattr(self.code, "open_windows", None)
-        return None if opener is None else cast(WindowReader, opener(path, band=band))
+        if opener is None:
+            return None
+        return cast("WindowReader", opener(source, scaling, band=band, max_cells=max_cells))

@@ -1,33 +1,99 @@
-"""What GDAL's formats share: a dataset cut off from the network and from files beside it, read stripe by stripe."""
+"""What reading by GDAL shares: which drivers may open a file, and a dataset cut off from the network and other files."""
 
 from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import PurePosixPath
+from uuid import uuid4
 
-import numpy as np
 import rasterio
-from numpy.typing import NDArray
-from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader, MemoryFile
-from rasterio.windows import Window
 
 from joulemap.model.errors import HeightmapError, TooLargeError
-from joulemap.model.terrain.decoded import Scaling
+from joulemap.model.source_file import SourceFile
 
 GDAL_OPTIONS = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # no .aux.xml, .ovr, .msk, world files
     "GDAL_PAM_ENABLED": "NO",
     "PROJ_NETWORK": "OFF",
     "GDAL_CACHEMAX": 128,  # [MB]
+    "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",  # no address, whatever a file names
+    "GDAL_VRT_ENABLE_PYTHON": "NO",
+    "GDAL_VRT_RAWRASTERBAND_ALLOWED_SOURCE": "SIBLING_OR_CHILD_OF_VRT_PATH",
+    "AAIGRID_DATATYPE": "Float64",  # else the first lines decide whether there are decimals
 }
 """Settings of GDAL and PROJ under which every file and every CRS is read."""
 
-_STRIPE_CELLS = 4_000_000  # decoded at a time, so that a big map needs no second copy of itself
+_WITH_SIDE_FILES = {"GDAL_DISABLE_READDIR_ON_OPEN": "FALSE", "GDAL_PAM_ENABLED": "YES"}
+
+ALONE = tuple(
+    [
+        "GTiff",
+        "PNG",
+        "AAIGrid",
+        "GRASSASCIIGrid",
+        "GSAG",
+        "GSBG",
+        "GS7BG",
+        "SRTMHGT",
+        "DTED",
+        "USGSDEM",
+        "HFA",
+        "netCDF",
+        "PNM",
+        "JPEG",
+        "BMP",
+        "WEBP",
+        "JP2OpenJPEG",
+        "ZMap",
+        "GXF",
+        "BT",
+        "Terragen",
+        "SIGDEM",
+        "HF2",
+        "GTX",
+        "ISG",
+        "NWT_GRD",
+        "NGSGEOID",
+        "FIT",
+        "EHdr",
+        "ENVI",
+        "SAGA",
+        "RRASTER",
+        "RST",
+        "PCRaster",
+    ]
+)
+"""Drivers of one file, or of files whose names follow from it. In memory they cannot reach any other."""
+
+BESIDE = (
+    *ALONE,
+    *[
+        "VRT",
+        "AIG",
+        "ERS",
+        "ILWIS",
+        "PDS",
+        "PDS4",
+        "ISIS2",
+        "ISIS3",
+        "VICAR",
+        "HDF5",
+        "HDF5Image",
+        "BAG",
+        "S102",
+        "LCP",
+        "MFF",
+        "KRO",
+        "PAux",
+    ],
+)
+"""Drivers of files that may name others, too: for files of the user who runs joulemap."""
+
 _FUNCTION = re.compile(r"\b(TIFF|GTiff|JPEG|PNG|HFA|VSI|CPL|GDAL|OGR)\w*:\s*")
 """Names of functions inside GDAL, which its messages begin with."""
 
@@ -54,15 +120,19 @@ def is_gdal_error(error: Exception) -> bool:
 
 
 @contextmanager
-def opened(source: Path | bytes, driver: str) -> Iterator[DatasetReader]:
-    """Open a dataset with one driver alone.
+def opened(source: SourceFile, drivers: Sequence[str], *, what: str, part: str = "") -> Iterator[DatasetReader]:
+    """Open a dataset with some drivers alone.
 
     Parameters
     ----------
-    source : Path or bytes
-        A file, or its bytes.
-    driver : str
-        GDAL's name of the format: GTiff or PNG.
+    source : SourceFile
+        The file. Unless it is a GeoTIFF on disk, one that is to be read alone is opened from memory.
+    drivers : sequence of str
+        GDAL's names of formats.
+    what : str
+        What messages call it, such as "the GeoTIFF".
+    part : str, optional
+        Name of a variable of a file with several.
 
     Yields
     ------
@@ -74,58 +144,35 @@ def opened(source: Path | bytes, driver: str) -> Iterator[DatasetReader]:
     HeightmapError
         Where GDAL fails, also later while the dataset is read.
     """
-    name = {"GTiff": "GeoTIFF", "PNG": "PNG image"}[driver]
-    with warnings.catch_warnings(), rasterio.Env(**GDAL_OPTIONS):
+    beside = not source.alone and not isinstance(source.place, bytes)
+    options = GDAL_OPTIONS | (_WITH_SIDE_FILES if beside or source.beside else {})
+    with warnings.catch_warnings(), rasterio.Env(**options), ExitStack() as stack:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:
-            if isinstance(source, bytes):
-                with MemoryFile(source) as memory, memory.open(driver=driver) as dataset:
-                    yield dataset
+            if beside or (not isinstance(source.place, bytes) and tuple(drivers) == ("GTiff",)):
+                place = str(source.place)
             else:
-                with rasterio.open(str(source), driver=driver) as dataset:
-                    yield dataset
+                folder = uuid4().hex
+                for name, content in source.beside:
+                    stack.enter_context(MemoryFile(content, dirname=folder, filename=_plain(name)))
+                content = source.place if isinstance(source.place, bytes) else source.place.read_bytes()
+                place = stack.enter_context(MemoryFile(content, dirname=folder, filename=_plain(source.name))).name
+            address = f"{drivers[0]}:{place}:{part}" if part else place
+            with DatasetReader(address, driver=list(drivers)) as dataset:
+                yield dataset
         except Exception as error:
             if not (is_gdal_error(error) or isinstance(error, (UnicodeDecodeError, OSError))):
                 raise
             cause = error.__cause__ or error
             if type(cause).__name__ == "CPLE_OutOfMemoryError" or "cannot allocate" in str(cause):
                 raise TooLargeError(
-                    f"the {name} asks for more memory than there is for one of its blocks: write it in smaller ones "
+                    f"{what} asks for more memory than there is for one of its blocks: write it in smaller ones "
                     "(gdal_translate -co TILED=YES IN OUT)"
                 ) from error
-            words = _FUNCTION.sub("", str(cause))[:300]
-            raise HeightmapError(f"the {name} is truncated or corrupt: {words}") from error
+            words = re.sub(r"'?/vsimem/\S*/", "", _FUNCTION.sub("", str(cause)))[:300]
+            raise HeightmapError(f"{what} is truncated or corrupt: {words}") from error
 
 
-def read_band(dataset: DatasetReader, band: int, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
-    """Read a window of one band as metres.
-
-    Parameters
-    ----------
-    dataset : DatasetReader
-        An open dataset.
-    band : int
-        Number of the band, from 1.
-    scaling : Scaling
-        How stored values become metres, after the file's own scale and offset.
-    rows, cols : slice
-        The window, in the file's own order of rows.
-
-    Returns
-    -------
-    ndarray of float32, (rows, cols)
-        Heights [m], NaN where the file's mask or no-data value says unknown.
-    """
-    masked = MaskFlags.all_valid not in dataset.mask_flag_enums[band - 1]
-    wide = cols.stop - cols.start
-    heights = np.empty((rows.stop - rows.start, wide), dtype=np.float32)
-    block_rows = dataset.block_shapes[band - 1][0]
-    step = max(1, _STRIPE_CELLS // (wide * block_rows)) * block_rows
-    for row in range(rows.start, rows.stop, step):
-        window = Window(cols.start, row, wide, min(step, rows.stop - row))
-        values = dataset.read(band, window=window)
-        known = dataset.read_masks(band, window=window) != 0 if masked else None
-        heights[row - rows.start : row - rows.start + step] = scaling.to_metres(
-            values, band_scale=dataset.scales[band - 1], band_offset=dataset.offsets[band - 1], known=known
-        )
-    return heights
+def _plain(name: str) -> str:
+    """A name that GDAL may see: some drivers take the place from it (N36W005.hgt)."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", PurePosixPath(name.replace("\\", "/")).name)[-80:].lstrip(".") or "file"

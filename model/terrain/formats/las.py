@@ -11,6 +11,7 @@ from joulemap.model.errors import HeightmapError, JoulemapError
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import Decoded, Scaling
 from joulemap.model.terrain.point_grid import PointGrid
+from joulemap.model.terrain.units import HeightUnit, height_unit
 
 _GROUND = 2  # class of the LAS specification
 _CHUNK_POINTS = 1_000_000
@@ -99,7 +100,7 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
                 done += x.size
             if done < count:
                 raise HeightmapError(f"the point cloud is truncated: {count:,} points declared, {done:,} there")
-            crs = _crs(header)
+            crs, whole_crs = _crs(header)
     except (JoulemapError, MemoryError):
         raise
     except Exception as error:  # laspy and its decoders do not say what they raise on a broken file
@@ -107,12 +108,16 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
         raise HeightmapError(f"the point cloud is truncated or corrupt after {done:,} points: {what}") from error
     grid = ground if classified else every
     heights = grid.heights()
+    unit = height_unit(None, whole_crs, source.name, or_horizontal=True)  # LAS 1.4 R15, 3.2: x, y and z of the CRS
+    if scaling.scale_m is not None:
+        unit = HeightUnit()
     return Decoded(
-        scaling.to_metres(heights, known=~np.isnan(heights)),
+        scaling.to_metres(heights, known=~np.isnan(heights), band_scale=unit.factor),
         west_m=grid.west_m,
         north_m=grid.north_m,
         resolution_m=grid.cell_m,
         crs=crs,
+        notes=(unit.note,) if unit.note else (),
     )
 
 
@@ -158,11 +163,11 @@ def _check_chunks(source: SourceFile, stream: BinaryIO, head: bytes) -> None:
         raise HeightmapError(f"the point cloud is corrupt: {chunks:,} chunks declared in {source.size_bytes:,} bytes")
 
 
-def _crs(header: Any) -> str | None:
-    """The horizontal CRS, if the file names one."""
+def _crs(header: Any) -> tuple[str | None, str | None]:
+    """The horizontal CRS, if the file names one, and all of it."""
     crs = header.parse_crs()
     if crs is None:
-        return None
+        return None, None
     flat = next((part for part in crs.sub_crs_list if not part.is_vertical), crs)
     code = flat.to_epsg()
-    return f"EPSG:{code}" if code else str(flat.to_wkt("WKT1_GDAL"))
+    return f"EPSG:{code}" if code else str(flat.to_wkt("WKT1_GDAL")), str(crs.to_wkt())
