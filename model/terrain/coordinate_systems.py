@@ -17,7 +17,7 @@ from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS, is_gdal_error
 Bounds = tuple[float, float, float, float]
 """West, south, east, north, in the units of the CRS."""
 
-_CRS_TEXT = re.compile(r"\s*(?:[A-Za-z]+:\d{1,9}\s*$|[A-Za-z_]+\[)")
+_CRS_TEXT = re.compile(r"\s*(?:[A-Za-z]+(?:_\d+)?:\d{1,9}\s*$|[A-Za-z_]+\[)")
 _PROJECTION = re.compile(r'PROJECTION\["([^"]+)"')
 _MERCATOR = ("mercator_1sp", "mercator_2sp", "mercator_auxiliary_sphere", "popular_visualisation_pseudo_mercator")
 _UTM_LATITUDES = (-80.0, 84.0)
@@ -164,6 +164,25 @@ def on_earth(crs: CRS | str) -> bool:
 
     body = ProjCRS.from_wkt(known_crs(crs).to_wkt()).ellipsoid
     return body is None or abs(body.semi_major_metre / _EARTH_M - 1.0) < _SAME_BODY
+
+
+def flat_crs(wkt: str) -> str:
+    """Return the part of a CRS that says where on the ground a place is.
+
+    Parameters
+    ----------
+    wkt : str
+        Of any CRS, also one with heights.
+
+    Returns
+    -------
+    str
+        Its WKT without the vertical part.
+    """
+    from pyproj import CRS as ProjCRS
+
+    crs = ProjCRS.from_wkt(wkt)
+    return wkt if len(crs.axis_info) < 3 else str(crs.to_2d().to_wkt("WKT1_GDAL"))
 
 
 def scale_errors(crs: str, longitude: ArrayLike, latitude: ArrayLike) -> NDArray[np.float64]:

@@ -17,6 +17,8 @@ UNDECLARED = (-9999.0, -32767.0, -32768.0)
 MAX_SIDE = 1_000_000
 """Most rows, and most columns, of a map: 1,000 km at 1 m."""
 
+_MARKS_OF_UNKNOWN = (1e30, 3.41e38)  # the largest floats of 32 bits, as ArcGIS and Surfer write them
+
 _PART_CELLS = 4_000_000
 _MOST = 2**63  # numbers beyond this are no sizes, and Python does not write the longest of them
 
@@ -181,7 +183,12 @@ class Scaling:
     ) -> NDArray[np.float32]:
         if not (math.isfinite(band_scale) and band_scale != 0.0 and math.isfinite(band_offset)):
             raise HeightmapError(f"the file scales its heights by {band_scale} and {band_offset}: it is corrupt")
-        unknown = np.isnan(values) if values.dtype.kind == "f" else np.zeros(values.shape, dtype=bool)
+        unknown = np.zeros(values.shape, dtype=bool)
+        if values.dtype.kind == "f":
+            unknown = np.isnan(values)
+            with np.errstate(invalid="ignore", over="ignore"):
+                size = np.abs(values)
+                unknown |= (size > _MARKS_OF_UNKNOWN[0]) & (size < _MARKS_OF_UNKNOWN[1])
         if known is not None:
             unknown |= ~known
         if self.nodata is not None:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.coordinate_systems import geographic, known_crs, on_earth, scale_errors
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.windows import Ground, overview
@@ -19,6 +20,7 @@ MOST_SCALE_ERROR = 0.005
 EARTH_M = (-11_000.0, 9_000.0)
 """The Challenger Deep lies at -10,935 m, Everest at 8,849 m."""
 
+_SMALL_M = 0.05  # 3 arc minutes are 0.05 degrees
 _LEAST_CELLS = 400
 _LINES = 512  # rows and columns, at least so many where there are as many, along which steps are taken for their median
 _WHOLE_RANGE_M = 3.0  # flat ground may well be one whole number
@@ -81,7 +83,12 @@ def _heights(sample: Heightmap) -> list[str]:
     slope = float(np.median(steps)) / sample.resolution_m
     found = _zeros(sample)
     whole = bool((known == np.round(known)).all()) and float(np.ptp(known)) >= _WHOLE_RANGE_M
-    if slope > STEEPEST:
+    if slope > STEEPEST and _in_degrees(sample.frame):
+        found.append(
+            "half of the ground is nearly a wall, in cells that would be tiny: are its coordinates degrees? Then give "
+            "`crs` as EPSG:4326 and `reproject` as auto"
+        )
+    elif slope > STEEPEST:
         unit = "centimetres: then `scale_m` is 0.01" if slope > 10 * STEEPEST or whole else "another unit than metres"
         found.append(
             f"half of the ground is steeper than {math.degrees(math.atan(slope)):.0f} degrees: are its heights in "
@@ -93,6 +100,13 @@ def _heights(sample: Heightmap) -> list[str]:
             "nearly level; use a map with decimals, or a smoothed one"
         )
     return found
+
+
+def _in_degrees(frame: GridFrame) -> bool:
+    """Whether a map without a CRS lies where degrees would, in cells that no survey in metres has."""
+    west, south, east, north = frame.bounds
+    inside = west >= -180.0 and east <= 360.0 and south >= -90.0 and north <= 90.0
+    return frame.crs is None and inside and frame.resolution_m < _SMALL_M
 
 
 def _beyond_earth(sample: Heightmap) -> list[str]:
@@ -124,6 +138,6 @@ def _zeros(sample: Heightmap) -> list[str]:
     if not steps.size or float(np.median(steps)) <= STEEPEST * sample.resolution_m:
         return []
     return [
-        f"{int(zero.sum()):,} cells are exactly 0 m, and the ground beside them is {float(np.median(steps)):.4g} m away "
-        "from that: are they unknown? Then give `nodata` as 0"
+        f"{int(zero.sum()):,} cells are exactly 0 m, and the ground beside them is {float(np.median(steps)):.4g} m "
+        "away from that: are they unknown? Then give `nodata` as 0"
     ]

@@ -10,6 +10,7 @@ from typing import Any
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
+from joulemap.model.ranges import RESOLUTION_M
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.coordinate_systems import Bounds, crs_name
 from joulemap.model.terrain.cut_out import PartReader, WindowLike, cells_of, transform_of
@@ -89,11 +90,6 @@ def read_heightmap(
     Heightmap
         Heights and their place.
 
-    Warns
-    -----
-    UserWarning
-        Of what was done to the heights by itself (their unit, colours), and of heights that are hardly in metres.
-
     Raises
     ------
     HeightmapError
@@ -101,6 +97,11 @@ def read_heightmap(
         known cell.
     TooLargeError
         If it declares more than `max_cells` cells; no memory is allocated for them.
+
+    Warns
+    -----
+    UserWarning
+        Of what was done to the heights by itself (their unit, colours), and of heights that are hardly in metres.
     """
     options: Any = dict(locals())
     heightmap = read_sent(options.pop("source"), alone=False, **options)
@@ -299,6 +300,13 @@ def _frame(
             f"`crs` {crs[:80]} was given, but the file says {own_crs[:80]}: leave it out, or reproject the file",
             crs=crs[:80],
             file_crs=own_crs[:80],
+        )
+    if 0.0 < resolution < RESOLUTION_M.low and own_crs is None and crs is None:
+        raise HeightmapError(
+            f"the file's cells are {resolution:g} m, below {RESOLUTION_M.low:g} m: are they degrees? Then give `crs` "
+            "as EPSG:4326 and `reproject` as auto",
+            resolution_m=resolution,
+            limit=RESOLUTION_M.low,
         )
     named = own_crs if own_crs is not None or crs is None else crs_name(crs, bounds)
     return GridFrame(

@@ -262,8 +262,8 @@ def reproject_file(
     notes = [note, *raster.notes]
     if unit_unknown:
         notes.append(
-            "the map is in feet and does not say the unit of its heights, which were taken for metres: give `scale_m` as "
-            "0.3048 if they are feet, else as 1"
+            "the map is in feet and does not say the unit of its heights, which were taken for metres: give `scale_m` "
+            "as 0.3048 if they are feet, else as 1"
         )
     resampling = Resampling.average if grid.a > _COARSER * size else Resampling.bilinear
     warped = Warped(raster, source_crs, target, transform, grid, shape, resampling, nodata, undeclared, tuple(notes))

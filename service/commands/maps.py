@@ -121,7 +121,7 @@ def costmap(
     `joulemap costmap heights.png --resolution 0.5 --scale 0.01 --model physics --out heights.zarr`
     """
     from joulemap.model.terrain.plausible import heightmap_warnings
-    from joulemap.model.terrain.readers import open_ground
+    from joulemap.model.terrain.readers import ASKED_FOR, open_ground
     from joulemap.planner.lattice.io import LatticeFolder
 
     output = Output(json_file)
@@ -144,7 +144,10 @@ def costmap(
         raise typer.BadParameter("--out is missing: name the folder to write the cost map to")
     ground = open_ground(heightmap, **reading)
     for note in ground.notes:
-        output.say(with_option_names(note, RUNNING.get()), head="Heightmap")
+        if note.startswith(ASKED_FOR):
+            output.say(with_option_names(note, RUNNING.get()), head="Heightmap")
+        else:
+            output.warn([note])
     rover = robot_of(robot)
     with ThreadPoolExecutor(1) as reader:
         warned = reader.submit(heightmap_warnings, ground)

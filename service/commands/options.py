@@ -277,11 +277,11 @@ def _warnings_said() -> Iterator[None]:
     """Say what `read_heightmap` warns of as commands say it, and not as Python does."""
     usual = warnings.showwarning
 
-    def _say(message: Any, category: type[Warning], filename: str, *more: Any) -> None:
+    def _say(message: Any, category: type[Warning], filename: str, *more: Any, **rest: Any) -> None:
         if category is UserWarning and "joulemap" in filename:
             Output(None).warn([str(message)])
         else:
-            usual(message, category, filename, *more)
+            usual(message, category, filename, *more, **rest)
 
     with warnings.catch_warnings():
         warnings.showwarning = _say

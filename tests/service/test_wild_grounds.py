@@ -86,6 +86,21 @@ def test_in_python(name: str) -> None:
         assert WARNED[name] in " ".join(str(each.message) for each in caught)
 
 
+@pytest.mark.parametrize("name", [name for name in ANSWERS if "cells" in ANSWERS[name] or name in WARNED])
+def test_on_the_command_line(tmp_path: Path, name: str) -> None:
+    options = {"resolution_m": "--resolution", "crs": "--crs", "reproject": "--reproject"}
+    said = [word for key, value in SAID.get(name, {}).items() for word in (options[key], str(value))]
+    out, made = tmp_path / "map.zarr", tmp_path / "made.json"
+    asked = ["costmap", str(WILD / "grounds" / name), *said, "--model", "physics", "--headings", "4", "--out", str(out)]
+    result = CliRunner().invoke(app, [*asked, "--json", str(made)])
+    if name in WARNED:
+        assert WARNED[name] in " ".join(result.stderr.split())
+        return
+    assert result.exit_code == 0, result.output
+    found = json.loads(made.read_text(encoding="utf-8"))
+    assert [found["rows"], found["cols"]] == ANSWERS[name]["cells"]
+
+
 @pytest.mark.parametrize("name", ANSWERS)
 def test_over_http(client: TestClient, name: str) -> None:
     data = (WILD / "grounds" / name).read_bytes()
@@ -101,21 +116,6 @@ def test_over_http(client: TestClient, name: str) -> None:
     check(name, shape, found["resolution_m"], found["height_min_m"], found["height_max_m"])
     if name in WARNED:
         assert WARNED[name] in " ".join(found["notes"])
-
-
-@pytest.mark.parametrize("name", [name for name in ANSWERS if "cells" in ANSWERS[name] or name in WARNED])
-def test_on_the_command_line(tmp_path: Path, name: str) -> None:
-    options = {"resolution_m": "--resolution", "crs": "--crs", "reproject": "--reproject"}
-    said = [word for key, value in SAID.get(name, {}).items() for word in (options[key], str(value))]
-    out, made = tmp_path / "map.zarr", tmp_path / "made.json"
-    asked = ["costmap", str(WILD / "grounds" / name), *said, "--model", "physics", "--headings", "4", "--out", str(out)]
-    result = CliRunner().invoke(app, [*asked, "--json", str(made)])
-    if name in WARNED:
-        assert WARNED[name] in " ".join(result.stderr.split())
-        return
-    assert result.exit_code == 0, result.output
-    found = json.loads(made.read_text(encoding="utf-8"))
-    assert [found["rows"], found["cols"]] == ANSWERS[name]["cells"]
 
 
 def test_a_file_that_names_others_is_read_only_where_they_lie() -> None:

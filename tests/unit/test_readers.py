@@ -144,8 +144,10 @@ def test_an_undeclared_nodata_value_is_refused_and_can_be_named(suspect: float) 
         with pytest.raises(HeightmapError, match=f"give `nodata` as {suspect:g}"):
             read_heightmap(source, **options)
         assert np.isnan(read_heightmap(source, nodata=suspect, **options).heights[0, 0])
-    heights[0, 0] = -3.4e38
-    with pytest.raises(HeightmapError, match=r"-3\.4e\+38 m.*50000 m.*`nodata`.*`scale_m`"):
+    heights[0, 0] = -3.4028235e38  # of ArcGIS, and no height in any unit
+    assert np.isnan(read_heightmap(geotiff(heights)).heights[0, 0])
+    heights[0, 0] = -1e20
+    with pytest.raises(HeightmapError, match=r"-1e\+20 m.*50000 m.*`nodata`.*`scale_m`"):
         read_heightmap(geotiff(heights))
 
 

@@ -6,59 +6,11 @@ from joulemap.model.terrain.formats.contract import HeightmapFormat
 
 _NAMED = 12  # suffixes that messages list of a format
 
-RASTER_SUFFIXES = tuple(
-    f".{each}"
-    for each in [
-        "tif",
-        "tiff",
-        "asc",
-        "png",
-        "hgt",
-        "dt0",
-        "dt1",
-        "dt2",
-        "img",
-        "nc",
-        "grd",
-        "dem",
-        "bil",
-        "flt",
-        "sdat",
-        "dat",
-        "bt",
-        "vrt",
-        "pgm",
-        "pnm",
-        "jp2",
-        "jpg",
-        "jpeg",
-        "webp",
-        "bmp",
-        "ers",
-        "gxf",
-        "adf",
-        "map",
-        "rst",
-        "mpr",
-        "cub",
-        "lbl",
-        "pds",
-        "xml",
-        "h5",
-        "he5",
-        "bag",
-        "ter",
-        "hf2",
-        "gtx",
-        "isg",
-        "agr",
-        "gri",
-        "raw",
-        "bip",
-        "bsq",
-        "fits",
-    ]
+_RASTERS = (
+    "tif tiff asc png hgt dt0 dt1 dt2 img nc grd dem bil flt sdat dat bt vrt pgm pnm jp2 jpg jpeg webp bmp ers gxf adf "
+    "rst mpr cub lbl pds h5 he5 bag ter hf2 gtx isg agr bip bsq fits"
 )
+RASTER_SUFFIXES = tuple(f".{each}" for each in _RASTERS.split(" "))
 """Usual endings of rasters that GDAL reads and that may be heights."""
 
 FORMATS = [

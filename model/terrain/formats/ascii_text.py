@@ -1,4 +1,4 @@
-"""What GDAL does not see in an ESRI ASCII grid: words among the heights, which it takes for 0, and heights left over."""
+"""What GDAL does not see in an ESRI ASCII grid: words among the heights, which it takes for 0, and too many heights."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import check_cells
 
 _LINE = re.compile(rb"\s*([A-Za-z_]+)[ \t]+([^\s]+)[ \t]*(?:\r\n|\r|\n|$)")
-_KEYS = ["ncols", "nrows", "xllcorner", "yllcorner", "xllcenter", "yllcenter", "cellsize", "dx", "dy", "nodata_value"]
+_HEADER_WORDS = "ncols nrows xllcorner yllcorner xllcenter yllcenter cellsize dx dy nodata_value"
+_KEYS = tuple(_HEADER_WORDS.split(" "))
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _HEADER_BYTES = 16_384  # ten lines of a header are about 300
 _PART_BYTES = 1 << 22

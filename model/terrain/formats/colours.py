@@ -102,8 +102,8 @@ def colours_of(dataset: DatasetReader, what: str) -> Colours | None:
         if _is_ground(each, channels, known):
             return each
     raise HeightmapError(
-        f"{what} is a picture in colours which are no heights (Terrain-RGB and Terrarium are known): take the elevation "
-        "model it was drawn from, or give `band` and `scale_m`"
+        f"{what} is a picture in colours which are no heights (Terrain-RGB and Terrarium are known): take the "
+        "elevation model it was drawn from, or give `band` and `scale_m`"
     )
 
 

@@ -64,8 +64,8 @@ class WindowReader(Protocol):
 class FormatModule(Protocol):
     """The functions of a format's module.
 
-    A module may have `open_windows(source, scaling, *, band, max_cells) -> WindowReader` instead of `decode`, for maps larger
-    than memory.
+    A module may have `open_windows(source, scaling, *, band, max_cells) -> WindowReader` instead of `decode`, for maps
+    larger than memory.
     """
 
     def recognise(self, head: bytes, name: str) -> bool:

@@ -1,4 +1,4 @@
-"""What reading by GDAL shares: which drivers may open a file, and a dataset cut off from the network and other files."""
+"""Which of GDAL's drivers may open a file, and a dataset that is cut off from the network and from other files."""
 
 from __future__ import annotations
 
@@ -30,68 +30,15 @@ GDAL_OPTIONS = {
 
 _WITH_SIDE_FILES = {"GDAL_DISABLE_READDIR_ON_OPEN": "FALSE", "GDAL_PAM_ENABLED": "YES"}
 
-ALONE = tuple(
-    [
-        "GTiff",
-        "PNG",
-        "AAIGrid",
-        "GRASSASCIIGrid",
-        "GSAG",
-        "GSBG",
-        "GS7BG",
-        "SRTMHGT",
-        "DTED",
-        "USGSDEM",
-        "HFA",
-        "netCDF",
-        "PNM",
-        "JPEG",
-        "BMP",
-        "WEBP",
-        "JP2OpenJPEG",
-        "ZMap",
-        "GXF",
-        "BT",
-        "Terragen",
-        "SIGDEM",
-        "HF2",
-        "GTX",
-        "ISG",
-        "NWT_GRD",
-        "NGSGEOID",
-        "FIT",
-        "EHdr",
-        "ENVI",
-        "SAGA",
-        "RRASTER",
-        "RST",
-        "PCRaster",
-    ]
+_ALONE = (
+    "GTiff PNG AAIGrid GRASSASCIIGrid GSAG GSBG GS7BG SRTMHGT DTED USGSDEM HFA netCDF PNM JPEG BMP WEBP JP2OpenJPEG "
+    "ZMap GXF BT Terragen SIGDEM HF2 GTX ISG NWT_GRD NGSGEOID FIT EHdr ENVI SAGA RRASTER RST PCRaster AIG"
 )
+ALONE = tuple(_ALONE.split(" "))
 """Drivers of one file, or of files whose names follow from it. In memory they cannot reach any other."""
 
-BESIDE = (
-    *ALONE,
-    *[
-        "VRT",
-        "AIG",
-        "ERS",
-        "ILWIS",
-        "PDS",
-        "PDS4",
-        "ISIS2",
-        "ISIS3",
-        "VICAR",
-        "HDF5",
-        "HDF5Image",
-        "BAG",
-        "S102",
-        "LCP",
-        "MFF",
-        "KRO",
-        "PAux",
-    ],
-)
+_NAMING = "VRT ERS ILWIS PDS PDS4 ISIS2 ISIS3 VICAR HDF5 HDF5Image BAG S102 LCP MFF KRO PAux"
+BESIDE = (*ALONE, *_NAMING.split(" "))
 """Drivers of files that may name others, too: for files of the user who runs joulemap."""
 
 _FUNCTION = re.compile(r"\b(TIFF|GTiff|JPEG|PNG|HFA|VSI|CPL|GDAL|OGR)\w*:\s*")

@@ -168,6 +168,6 @@ def _crs(header: Any) -> tuple[str | None, str | None]:
     crs = header.parse_crs()
     if crs is None:
         return None, None
-    flat = next((part for part in crs.sub_crs_list if not part.is_vertical), crs)
+    flat = crs.to_2d()
     code = flat.to_epsg()
     return f"EPSG:{code}" if code else str(flat.to_wkt("WKT1_GDAL")), str(crs.to_wkt())

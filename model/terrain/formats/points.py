@@ -27,6 +27,8 @@ _HEADER = re.compile(
 )
 _PART_BYTES = 1 << 22
 _MARKS = bytes.maketrans(b",;\t", b"   ")
+_COMMA_MARKS = bytes.maketrans(b",;\t", b".  ")
+_DECIMAL_COMMAS = re.compile(rb"\s*-?\d+(?:,\d+)?[ \t;]+-?\d+(?:,\d+)?[ \t;]+-?\d+,\d+\s*[ \t;\r\n]")
 _MOST_STEPS = 1e9  # of a grid, along a side
 _TEXTS = (".xyz", ".txt", ".csv", ".asc", ".dat", ".pts")
 _PCD_TYPES = {
@@ -142,7 +144,8 @@ def _points(source: SourceFile, most: int) -> NDArray[np.float64]:
             whole = rest + text
             more = stream.read(_PART_BYTES)
             end = max(whole.rfind(b"\n"), whole.rfind(b"\r")) + 1 if more else len(whole)
-            part, rest, text = whole[:end].translate(_MARKS), whole[end:], more
+            marks = _COMMA_MARKS if _DECIMAL_COMMAS.match(whole) else _MARKS
+            part, rest, text = whole[:end].translate(marks), whole[end:], more
             if len(rest) > _PART_BYTES:
                 raise HeightmapError(f"{source.name} is corrupt: a line of more than {_PART_BYTES:,} bytes")
             rows = [line for line in part.splitlines() if line.strip()]
@@ -185,14 +188,14 @@ def _pcd(source: SourceFile, most: int) -> NDArray[np.float64]:
         return _table(content[at:], many, int(widths[-1]), source.name)[:, widths[axes]]
     body = memoryview(content)[at:]
     if how == "binary_compressed":
-        packed, size = (int(each) for each in np.frombuffer(body[:8], "<u4")) if len(body) >= 8 else (0, 0)
-        if size != many * record.itemsize or packed > len(body) - 8:
+        long, full = (int(each) for each in np.frombuffer(body[:8], "<u4")) if len(body) >= 8 else (0, 0)
+        if full != many * record.itemsize or long > len(body) - 8:
             raise HeightmapError(
-                f"{source.name} is truncated or corrupt: {many:,} points declared, {size:,} bytes packed"
+                f"{source.name} is truncated or corrupt: {many:,} points declared, {full:,} bytes packed"
             )
-        plain, length = lzf(np.frombuffer(body[8 : 8 + packed], np.uint8), size)
-        if length != size:
-            raise HeightmapError(f"{source.name} is truncated or corrupt: {length:,} of {size:,} bytes can be unpacked")
+        plain, length = lzf(np.frombuffer(body[8 : 8 + long], np.uint8), full)
+        if length != full:
+            raise HeightmapError(f"{source.name} is truncated or corrupt: {length:,} of {full:,} bytes can be unpacked")
         sizes = np.cumsum([0, *(many * record[k].itemsize for k in range(len(fields)))])
         return np.column_stack(
             [plain[sizes[k] : sizes[k] + many * record[k].itemsize].view(record[k]) for k in axes]

@@ -1,4 +1,4 @@
-"""Rasters of any kind that GDAL reads: one band as heights, or a picture whose colours are heights; whole or by windows."""
+"""Rasters that GDAL reads: one band as heights, or a picture whose colours are heights; whole or by windows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rasterio.windows import Window
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.source_file import SourceFile
-from joulemap.model.terrain.coordinate_systems import crs_name, warp_command
+from joulemap.model.terrain.coordinate_systems import crs_name, flat_crs, warp_command
 from joulemap.model.terrain.decoded import MAX_SIDE, SAME_LENGTH, Scaling, check_cells
 from joulemap.model.terrain.formats import RASTER_SUFFIXES
 from joulemap.model.terrain.formats.ascii_text import check_ascii_grid
@@ -149,11 +149,12 @@ def open_windows(
         suffix = Path(source.name).suffix.lower()
         if suffix in _WITH_HEADER:
             raise HeightmapError(
-                f"{source.name} cannot be read without its header (.hdr, .sgrd, .rdc), which was not found: put it beside "
-                "the file, or both into one zip"
+                f"{source.name} cannot be read without its header (.hdr, .sgrd, .rdc), which was not found: put it "
+                "beside the file, or both into one zip"
             ) from error
+        more = " that names no other file (gdal_translate makes a GeoTIFF of others)" if source.alone else ""
         raise HeightmapError(
-            f"{source.name} is not what its name says: GDAL finds no {suffix} in its content"
+            f"{source.name} is not what its name says: there is no raster in its content{more}"
         ) from error
 
 
@@ -380,11 +381,12 @@ def _header(
     band = 1 if colours is not None else _checked_band(dataset, band, what)
     if picture and colours is None and scaling.scale_m is None:
         raise HeightmapError(
-            f"{what} is a picture: it holds counts, not metres: give `scale_m`, the metres per count (and `offset_m`, the "
-            "height of count 0)"
+            f"{what} is a picture: it holds counts, not metres: give `scale_m`, the metres per count (and `offset_m`, "
+            "the height of count 0)"
         )
-    own = dataset.crs.to_wkt() if dataset.crs else None
-    unit = height_unit(dataset.units[band - 1], own, what)
+    whole_crs = dataset.crs.to_wkt() if dataset.crs else None
+    own = flat_crs(whole_crs) if whole_crs else None
+    unit = height_unit(dataset.units[band - 1], whole_crs, what)
     notes = [] if colours is None else [colours.note]
     if unit.note and scaling.scale_m is None:
         notes.append(unit.note)
@@ -403,21 +405,34 @@ def _header(
         nodata = -9999.0  # the format's own default
     crs = None
     if north_up:
-        crs = _check_grid(dataset, what, nodata is not None)
+        crs = _check_grid(dataset, own, what, nodata is not None)
     if dataset.driver == "GTiff":
         _check_blocks(dataset, band)
     return Raster(
-        source, (dataset.driver,), what, part, band, (rows, cols), dataset.transform, own, crs, dataset.dtypes[band - 1],
-        nodata, unit.factor, unit.said, colours, tuple(notes),
-    )  # fmt: skip
+        source=source,
+        drivers=(dataset.driver,),
+        what=what,
+        part=part,
+        band=band,
+        shape=(rows, cols),
+        transform=dataset.transform,
+        own_crs=own,
+        crs=crs,
+        dtype=dataset.dtypes[band - 1],
+        nodata=nodata,
+        factor=unit.factor,
+        unit_said=unit.said,
+        colours=colours,
+        notes=tuple(notes),
+    )
 
 
-def _check_grid(dataset: DatasetReader, what: str, nodata_declared: bool) -> str | None:
+def _check_grid(dataset: DatasetReader, own: str | None, what: str, nodata_declared: bool) -> str | None:
     """Refuse a grid that is not north-up and square in true metres; return the name of its CRS."""
     transform, crs = dataset.transform, None
-    if dataset.crs:
+    if own:
         placed = transform.is_rectilinear and not transform.is_identity
-        crs = crs_name(dataset.crs, tuple(dataset.bounds) if placed else None, nodata_declared=nodata_declared)
+        crs = crs_name(own, tuple(dataset.bounds) if placed else None, nodata_declared=nodata_declared)
     if transform.is_identity:
         return crs
     if transform.b or transform.d:
@@ -447,6 +462,9 @@ def _checked_band(dataset: DatasetReader, band: int | None, what: str) -> int:
     kinds = dataset.colorinterp
     if band is None and dataset.count == 2 and kinds[1] == ColorInterp.alpha:
         band = 1
+    if band is None:
+        described = [k for k, words in enumerate(dataset.descriptions, 1) if (words or "").lower() in _VARIABLES]
+        band = described[0] if len(described) == 1 else None
     if dataset.count != 1 and band is None:
         raise HeightmapError(
             f"{what} has {dataset.count} bands: give `band`, the number of the one with the heights "

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import gzip
-import io
 import lzma
 import struct
 import zipfile
 import zlib
 from dataclasses import replace
 from pathlib import PurePosixPath
+from typing import IO
 
 from joulemap.model.errors import HeightmapError, TooLargeError
 from joulemap.model.source_file import SourceFile
 
-MAX_UNPACKED_BYTES = 512 << 20
+MAX_UNPACKED_BYTES = 256 << 20
 """Most bytes that are unpacked from one archive."""
 
 _HEAD_BYTES = 512
-_SIDE = (".hdr", ".prj", ".sgrd", ".rdc", ".aux.xml", ".tfw", ".pgw", ".wld", ".stx", ".blw")
+_SIDE = (".hdr", ".prj", ".sgrd", ".rdc", ".gri", ".aux.xml", ".tfw", ".pgw", ".wld", ".stx", ".blw")
 _MOST_MEMBERS = 1_000
 _BROKEN = (
     zipfile.BadZipFile,
@@ -75,7 +75,9 @@ def _member(archive: zipfile.ZipFile, source: SourceFile, suffixes: tuple[str, .
         raise TooLargeError(f"{source.name} holds {len(inside):,} files; the limit is {_MOST_MEMBERS:,}")
     if not inside or any(each.filename.endswith(".npy") for each in inside):
         return source
-    maps = inside if len(inside) == 1 else [each for each in inside if each.filename.lower().endswith(suffixes)]
+    maps = [each for each in inside if each.filename.lower().endswith(suffixes)] if len(inside) > 1 else inside
+    for better in (_not_a_preview, _is_arc_grid):
+        maps = [each for each in maps if better(each.filename)] or maps
     if len(maps) != 1:
         names = ", ".join(each.filename for each in inside)[:300]
         raise HeightmapError(
@@ -88,8 +90,10 @@ def _member(archive: zipfile.ZipFile, source: SourceFile, suffixes: tuple[str, .
         each
         for each in inside
         if each is not found
-        and PurePosixPath(each.filename).name.lower().startswith(stem)
-        and each.filename.lower().endswith(_SIDE)
+        and (
+            _is_arc_grid(found.filename)
+            or (PurePosixPath(each.filename).name.lower().startswith(stem) and each.filename.lower().endswith(_SIDE))
+        )
     ]
     for each in (found, *beside):
         with archive.open(each) as stream:
@@ -100,7 +104,16 @@ def _member(archive: zipfile.ZipFile, source: SourceFile, suffixes: tuple[str, .
     return replace(source, place=content, name=name, head=content[:_HEAD_BYTES], alone=True, beside=tuple(others))
 
 
-def _bounded(stream: io.BufferedIOBase, name: str, limit: int) -> bytes:
+def _not_a_preview(name: str) -> bool:
+    return not name.lower().endswith((".jpg", ".jpeg", ".png", ".webp"))
+
+
+def _is_arc_grid(name: str) -> bool:
+    """Whether it is the file of an ArcInfo grid that holds its heights; what it needs lies in the same folder."""
+    return PurePosixPath(name).name.lower() == "w001001.adf"
+
+
+def _bounded(stream: IO[bytes] | gzip.GzipFile, name: str, limit: int) -> bytes:
     """All of a stream. Raises TooLargeError as soon as it is longer than the limit."""
     content = stream.read(limit + 1)
     if len(content) > limit:
