@@ -60,7 +60,7 @@ def test_what_is_broken_or_too_large_is_refused(page: Machine) -> None:
 
 def test_the_lists_name_it_and_work_by_windows_reads_it_whole(page: Machine) -> None:
     assert "Surfer ASCII grid (.grd)" in formats.formats_in_words()
-    with pytest.raises(HeightmapError, match=r"not what its name says.*no Surfer ASCII grid"):
+    with pytest.raises(HeightmapError, match="not what its name says"):
         read_heightmap(b"hello, this is no map", filename="map.grd")
     path = Path(page.folder / "hill.grd")
     assert open_ground(path).data_hash == read_heightmap(path).data_hash

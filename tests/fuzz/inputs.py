@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gzip
+import io
 import json
 import struct
 import tempfile
+import zipfile
 import zlib
 from collections.abc import Callable
 from functools import cache, partial
@@ -13,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import rasterio.shutil
 from rasterio.transform import Affine
 
 from joulemap.model.robot import Robot
@@ -24,7 +28,7 @@ from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from tests.fuzz import paths, recordings
 from tests.fuzz.files import LOG, Rng, parquet
-from tests.reference.heightmap_files import ASC, geotiff, npy, npz, png
+from tests.reference.heightmap_files import ASC, geotiff, npy, npz, png, points_file
 
 _LIMITS = recordings.LIMITS
 _WORDS = [
@@ -123,6 +127,41 @@ def pictures() -> list[bytes]:
 
 
 @cache
+def tiles() -> list[bytes]:
+    heights = 200 + 30 * np.sin(np.mgrid[0:15, 0:12].sum(axis=0) / 5)
+    counts = [np.round((heights + 10_000) * 10).astype(int), np.round((heights + 32_768) * 256).astype(int)]
+    return [png(np.stack([one // 65_536, one // 256 % 256, one % 256]).astype(np.uint8)) for one in counts]
+
+
+@cache
+def rasters() -> list[bytes]:
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / "plain.tif"
+        plain.write_bytes(geotiff((np.random.default_rng(5).random((20, 17)) * 100).astype(np.float32)))
+        for driver in ("HFA", "netCDF", "GSBG", "GS7BG", "GSAG"):
+            rasterio.shutil.copy(plain, Path(folder) / "made", driver=driver)
+            found.append((Path(folder) / "made").read_bytes())
+    return found
+
+
+@cache
+def clouds_of_scanners() -> list[bytes]:
+    x, y = (each.ravel().astype(float) for each in np.mgrid[0:9, 0:7])
+    kinds = ("pcd ascii", "pcd binary", "pcd binary_compressed", "ply ascii", "ply little", "ply big")
+    return [points_file(kind, x, y, x + y) for kind in kinds]
+
+
+@cache
+def packed() -> list[bytes]:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:  # stored, so that changes reach the file in it
+        archive.writestr("a.asc", ASC)
+        archive.writestr("a.prj", 'LOCAL_CS["quarry",UNIT["metre",1]]')
+    return [out.getvalue(), gzip.compress(ASC)]
+
+
+@cache
 def logs() -> list[bytes]:
     rows = [line.split(",") for line in LOG.decode().splitlines()[1:120]]
     noted = "\n".join(['t,x,y,voltage,current,"note, of"', *(",".join([*row, '"a, b"']) for row in rows)])
@@ -218,6 +257,10 @@ READERS: dict[str, tuple[Callable[[], list[bytes]], bool, Callable[[bytes, Rng],
     "path": (paths.paths, True, paths.read),
     **{kind: (partial(recordings.logs, kind), False, recordings.read_log) for kind in recordings.WRITERS},
     "mapped_csv": (recordings.odd_tables, True, recordings.read_table),
+    "tile": (tiles, False, lambda content, rng: _map(_with_checksums(rng, content), rng)),
+    "raster": (rasters, False, _map),
+    "scanner": (clouds_of_scanners, False, _map),
+    "packed": (packed, False, _map),
     "cloud": (recordings.clouds, False, _map),
     "xyz": (recordings.points, True, partial(_map, filename="a.xyz")),
     "grid_map": (recordings.grid_maps, False, _map),

@@ -96,3 +96,32 @@ def huge_npz() -> bytes:
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("heights.npy", npy_header((40_000, 30_000)) + b"\0" * 1_000_000)
     return out.getvalue()
+
+
+def points_file(kind: str, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> bytes:
+    """The same points as PCD or PLY, with a column more."""
+    rows = np.column_stack([x, y, z, np.arange(x.size)])
+    head = (
+        f"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 8 8 8 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH {x.size}\n"
+        f"HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {x.size}\nDATA {kind.partition(' ')[2]}\n"
+    ).encode()
+    text = "".join(" ".join(f"{value:.4f}" for value in row) + "\n" for row in rows).encode()
+    order = ">" if "big" in kind else "<"
+    record = np.dtype([(axis, f"{order}f8") for axis in "xyz"] + [("i", f"{order}f4")])
+    table = np.zeros(x.size, record)
+    for k, name in enumerate(record.names):
+        table[name] = rows[:, k]
+    if kind.startswith("pcd"):
+        if kind.endswith("compressed"):
+            plain = b"".join(table[name].tobytes() for name in record.names)
+            packed = b"".join(
+                bytes([min(32, len(plain) - k) - 1]) + plain[k : k + 32] for k in range(0, len(plain), 32)
+            )
+            return head + struct.pack("<II", len(packed), len(plain)) + packed
+        return head + (text if kind.endswith("ascii") else table.tobytes())
+    form = {"ascii": "ascii", "little": "binary_little_endian", "big": "binary_big_endian"}[kind.partition(" ")[2]]
+    kinds = "".join(f"property double {axis}\n" for axis in "xyz") + "property float i\nelement face 0\n"
+    header = f"ply\nformat {form} 1.0\ncomment made up\nelement vertex {x.size}\n{kinds}"
+    return f"{header}property list uchar int vertex_indices\nend_header\n".encode() + (
+        text if form == "ascii" else table.tobytes()
+    )

@@ -2,7 +2,6 @@
 
 import gzip
 import io
-import struct
 import warnings
 import zipfile
 from pathlib import Path
@@ -21,7 +20,7 @@ from joulemap.model.terrain.formats.colours import ENCODINGS
 from joulemap.model.terrain.formats.points import lzf
 from joulemap.model.terrain.plausible import heightmap_warnings
 from joulemap.model.terrain.readers import open_ground, read_heightmap, read_sent
-from tests.reference.heightmap_files import ASC, geotiff, npy, png
+from tests.reference.heightmap_files import ASC, geotiff, npy, png, points_file
 
 ROW, COL = np.mgrid[0:40, 0:50]
 HILL = (100.0 + 6.0 * np.exp(-((ROW - 20.0) ** 2 + (COL - 25.0) ** 2) / 90.0) + 0.02 * COL).astype(np.float32)
@@ -122,42 +121,13 @@ def test_pictures_are_no_heights() -> None:
         )
 
 
-def points(kind: str, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> bytes:
-    """The same points as PCD or PLY, with a column more."""
-    rows = np.column_stack([x, y, z, np.arange(x.size)])
-    head = (
-        f"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 8 8 8 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH {x.size}\n"
-        f"HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {x.size}\nDATA {kind.partition(' ')[2]}\n"
-    ).encode()
-    text = "".join(" ".join(f"{value:.4f}" for value in row) + "\n" for row in rows).encode()
-    order = ">" if "big" in kind else "<"
-    record = np.dtype([(axis, f"{order}f8") for axis in "xyz"] + [("i", f"{order}f4")])
-    table = np.zeros(x.size, record)
-    for k, name in enumerate(record.names):
-        table[name] = rows[:, k]
-    if kind.startswith("pcd"):
-        if kind.endswith("compressed"):
-            plain = b"".join(table[name].tobytes() for name in record.names)
-            packed = b"".join(
-                bytes([min(32, len(plain) - k) - 1]) + plain[k : k + 32] for k in range(0, len(plain), 32)
-            )
-            return head + struct.pack("<II", len(packed), len(plain)) + packed
-        return head + (text if kind.endswith("ascii") else table.tobytes())
-    form = {"ascii": "ascii", "little": "binary_little_endian", "big": "binary_big_endian"}[kind.partition(" ")[2]]
-    kinds = "".join(f"property double {axis}\n" for axis in "xyz") + "property float i\nelement face 0\n"
-    header = f"ply\nformat {form} 1.0\ncomment made up\nelement vertex {x.size}\n{kinds}"
-    return f"{header}property list uchar int vertex_indices\nend_header\n".encode() + (
-        text if form == "ascii" else table.tobytes()
-    )
-
-
 CLOUDS = ["pcd ascii", "pcd binary", "pcd binary_compressed", "ply ascii", "ply little", "ply big"]
 
 
 @pytest.mark.parametrize("kind", CLOUDS)
 def test_points_on_a_grid_are_its_cells(kind: str) -> None:
     x, y = 500_000.5 + COL.ravel(), 4_000_039.5 - ROW.ravel()
-    whole = points(kind, x, y, HILL.ravel().astype(float))
+    whole = points_file(kind, x, y, HILL.ravel().astype(float))
     found = read_sent(whole, crs="EPSG:32630")
     np.testing.assert_allclose(found.heights, HILL, atol=1e-4)
     assert found.frame.bounds == (500_000.0, 4_000_000.0, 500_050.0, 4_000_040.0)

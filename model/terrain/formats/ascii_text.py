@@ -80,12 +80,13 @@ def check_ascii_grid(source: SourceFile, max_cells: int) -> SourceFile:
             declared=rows * cols,
             found=found,
         )
-    if ("xllcorner" in header) != ("yllcorner" in header) and "cellsize" in header:  # GDAL drops such a place
-        mixed = "xllcenter" if "xllcenter" in header else "yllcenter"
-        fixed = header[mixed] - 0.5 * header["cellsize"]
-        lines = re.sub(
-            mixed.encode() + rb"[ \t]+\S+", b"%sllcorner %r" % (mixed[:1].encode(), fixed), text[start:at], flags=re.I
-        )
+    mixed = next(
+        (f"{axis}llcenter" for axis, other in ("xy", "yx") if {f"{axis}llcenter", f"{other}llcorner"} <= header.keys()),
+        None,
+    )
+    if mixed is not None and "cellsize" in header:  # GDAL drops such a place
+        edge = b"%cllcorner %r" % (mixed[0].encode(), header[mixed] - 0.5 * header["cellsize"])
+        lines = re.sub(mixed.encode() + rb"[ \t]+\S+", edge, text[start:at], flags=re.IGNORECASE)
     elif start:
         lines = text[start:at]
     else:

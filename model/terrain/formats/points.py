@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from joulemap.model.errors import HeightmapError
+from joulemap.model.errors import HeightmapError, TooLargeError
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded, Scaling, check_cells
 from joulemap.model.terrain.point_grid import PointGrid
@@ -154,8 +154,13 @@ def _points(source: SourceFile, most: int) -> NDArray[np.float64]:
                 parts.append(_parsed(rows, columns, lines, source.name))
                 found += len(rows)
                 lines += part.count(b"\n")
-            check_cells(max(2, found), 2, max(most, 4) * 2, what=f"{source.name} (its points)")
+            _check_points(found, most, source.name)
     return np.concatenate([np.empty((0, 3)), *(part[:, :3] for part in parts)])
+
+
+def _check_points(many: int, most: int, name: str) -> None:
+    if many > most:
+        raise TooLargeError(f"{name} holds {many:,} points; the limit is {most:,}", points=many, limit=most)
 
 
 def _pcd(source: SourceFile, most: int) -> NDArray[np.float64]:
@@ -182,7 +187,7 @@ def _pcd(source: SourceFile, most: int) -> NDArray[np.float64]:
         axes = [record.names.index(axis) for axis in "xyz"]  # type: ignore[union-attr]
     except (KeyError, ValueError, IndexError) as error:
         raise HeightmapError(f"{source.name} is corrupt: the header of its points has no {error}") from error
-    check_cells(max(2, many), 2, max(most, 4) * 2, what=f"{source.name} (its points)")
+    _check_points(many, most, source.name)
     if how == "ascii":
         widths = np.cumsum([0, *(shape[0] for _, _, shape in fields)])
         return _table(content[at:], many, int(widths[-1]), source.name)[:, widths[axes]]
@@ -226,7 +231,7 @@ def _ply(source: SourceFile, most: int) -> NDArray[np.float64]:
         ) from error
     if name != "vertex":
         raise HeightmapError(f"{source.name} begins with elements of {name[:40]!r}, and not with its vertices")
-    check_cells(max(2, many), 2, max(most, 4) * 2, what=f"{source.name} (its points)")
+    _check_points(many, most, source.name)
     if not order:
         return _table(content[at:], many, len(kinds), source.name)[:, axes]
     return _records(memoryview(content)[at:], record, many, source.name)

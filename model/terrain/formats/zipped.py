@@ -14,11 +14,15 @@ from typing import IO
 from joulemap.model.errors import HeightmapError, TooLargeError
 from joulemap.model.source_file import SourceFile
 
-MAX_UNPACKED_BYTES = 256 << 20
-"""Most bytes that are unpacked from one archive."""
+MAX_UNPACKED_BYTES = 128 << 20
+"""Most bytes that are unpacked from one archive that was sent."""
+
+MAX_OWN_BYTES = 2 << 30
+"""The same of an archive of the user who runs joulemap."""
 
 _HEAD_BYTES = 512
 _SIDE = (".hdr", ".prj", ".sgrd", ".rdc", ".gri", ".aux.xml", ".tfw", ".pgw", ".wld", ".stx", ".blw")
+_ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06", b"\x1f\x8b")
 _MOST_MEMBERS = 1_000
 _BROKEN = (
     zipfile.BadZipFile,
@@ -54,14 +58,14 @@ def unpacked(source: SourceFile, suffixes: tuple[str, ...]) -> SourceFile:
     HeightmapError
         If the archive is broken, or does not hold one heightmap.
     TooLargeError
-        If it unpacks to more than `MAX_UNPACKED_BYTES`.
+        If it unpacks to more than the limit.
     """
     try:
-        if source.head.startswith(b"\x1f\x8b"):
+        if source.head.startswith(_ARCHIVES[2]):
             with source.open() as stream, gzip.GzipFile(fileobj=stream) as packed:
-                content = _bounded(packed, source.name, MAX_UNPACKED_BYTES)
+                content = _bounded(packed, source.name, _limit(source))
             return SourceFile(content, source.name.removesuffix(".gz"), content[:_HEAD_BYTES], alone=True)
-        if not source.head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+        if not source.head.startswith(_ARCHIVES[:2]):
             return source
         with source.open() as stream, zipfile.ZipFile(stream) as archive:
             return _member(archive, source, suffixes)
@@ -70,7 +74,7 @@ def unpacked(source: SourceFile, suffixes: tuple[str, ...]) -> SourceFile:
 
 
 def _member(archive: zipfile.ZipFile, source: SourceFile, suffixes: tuple[str, ...]) -> SourceFile:
-    inside = [each for each in archive.infolist() if not each.is_dir() and not _hidden(each.filename)]
+    inside = [each for each in archive.infolist() if each.filename and not each.is_dir() and not _hidden(each.filename)]
     if len(inside) > _MOST_MEMBERS:
         raise TooLargeError(f"{source.name} holds {len(inside):,} files; the limit is {_MOST_MEMBERS:,}")
     if not inside or any(each.filename.endswith(".npy") for each in inside):
@@ -84,7 +88,7 @@ def _member(archive: zipfile.ZipFile, source: SourceFile, suffixes: tuple[str, .
             f"{source.name} must hold one heightmap, and holds {len(maps)} (it has {names}): take one out"
         )
     (found,) = maps
-    left, contents = MAX_UNPACKED_BYTES, list[tuple[str, bytes]]()
+    left, contents = _limit(source), list[tuple[str, bytes]]()
     stem = PurePosixPath(found.filename).stem.lower()
     beside = [
         each
@@ -101,7 +105,13 @@ def _member(archive: zipfile.ZipFile, source: SourceFile, suffixes: tuple[str, .
         left -= len(content)
         contents.append((PurePosixPath(each.filename).name, content))
     (name, content), *others = contents
+    if content.startswith(_ARCHIVES) and not name.lower().endswith(".npz"):
+        raise HeightmapError(f"{source.name} holds another archive, {name[:80]}: unpack it")
     return replace(source, place=content, name=name, head=content[:_HEAD_BYTES], alone=True, beside=tuple(others))
+
+
+def _limit(source: SourceFile) -> int:
+    return MAX_UNPACKED_BYTES if source.alone else MAX_OWN_BYTES
 
 
 def _not_a_preview(name: str) -> bool:
