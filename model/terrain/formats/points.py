@@ -301,20 +301,24 @@ def lzf(packed: NDArray[np.uint8], size: int) -> tuple[NDArray[np.uint8], int]:
 def _parsed(rows: list[bytes], columns: int, before: int, name: str) -> NDArray[np.float64]:
     if columns < 3:
         raise HeightmapError(f"{name}: its lines hold {columns} numbers, and not x, y and a height")
-    try:
-        return np.array([line.split() for line in rows], dtype=np.float64)
-    except ValueError:
-        for k, line in enumerate(rows):
-            try:
-                ok = len([float(word) for word in line.split()]) == columns
-            except ValueError:
-                ok = False
-            if not ok:
-                words = line[:60].decode("ascii", "replace")
-                raise HeightmapError(
-                    f"{name}, line {before + k + 1}: {words!r} is no point of {columns} numbers"
-                ) from None
-        raise
+    text = b"\n".join(rows)
+    codes = np.frombuffer(text, np.uint8)
+    starts = np.diff(codes > 32, prepend=False) & (codes > 32)
+    words = np.diff(np.cumsum(starts)[np.append(np.flatnonzero(codes == 10), codes.size - 1)], prepend=0)
+    if (words == columns).all():
+        try:
+            return np.fromstring(text, sep=" ").reshape(-1, columns)
+        except ValueError:  # the line is named below
+            pass
+    for k, line in enumerate(rows):
+        try:
+            ok = len([float(word) for word in line.split()]) == columns
+        except ValueError:
+            ok = False
+        if not ok:
+            shown = line[:60].decode("ascii", "replace")
+            raise HeightmapError(f"{name}, line {before + k + 1}: {shown!r} is no point of {columns} numbers")
+    return np.array([line.split() for line in rows], dtype=np.float64)
 
 
 def _regular(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:
