@@ -256,14 +256,9 @@ def _source(source: str | Path | bytes, filename: str | None, *, alone: bool) ->
 def _format_of(file: SourceFile) -> HeightmapFormat:
     if not file.head:
         raise HeightmapError(f"{file.name} is empty", name=file.name)
-    for each in FORMATS:
+    for each in FORMATS:  # the last of which takes any file
         if each.code.recognise(file.head, file.name):
             return each
-    for each in FORMATS:
-        if file.name.lower().endswith(each.suffixes):
-            raise HeightmapError(
-                f"{file.name} is not what its name says: its content is no {each.name} ({formats_in_words()} are read)"
-            )
     raise HeightmapError(f"{file.name} is not a heightmap: {formats_in_words()} are read", name=file.name)
 
 

@@ -232,7 +232,10 @@ _READING: dict[str, tuple[str, Any, Any]] = {  # option -> what the library call
     ),
     "scale": (
         "scale_m",
-        Annotated[float | None, _heightmap_option("Metres per stored unit; a PNG needs it. [default: 1]", metavar="M")],
+        Annotated[
+            float | None,
+            _heightmap_option("Metres per stored unit; a picture needs it. [default: 1]", metavar="M"),
+        ],
         None,
     ),
     "offset": ("offset_m", Annotated[float, _heightmap_option("Height of the stored value 0 [m].", metavar="M")], 0.0),
@@ -243,7 +246,9 @@ _READING: dict[str, tuple[str, Any, Any]] = {  # option -> what the library call
     ),
     "band": (
         "band",
-        Annotated[int | None, _heightmap_option("Band of a GeoTIFF with several, from 1.", min=1, metavar="N")],
+        Annotated[
+            int | None, _heightmap_option("Band or variable with the heights, from 1.", min=1, metavar="N")
+        ],
         None,
     ),
     "reproject": (

@@ -45,7 +45,7 @@ class UploadOptions(ClosedModel):
         description="CRS in metres, e.g. EPSG:32630, where the file does not say",
     )
     scale_m: Annotated[float, within(SCALE_M)] | None = Field(
-        default=None, description="metres per stored unit; a PNG needs it"
+        default=None, description="metres per stored unit; a picture (PNG) needs it, unless its colours are heights"
     )
     offset_m: Annotated[float, within(HEIGHT_M)] = Field(default=0.0, description="height of the stored value 0 [m]")
     nodata: Annotated[float, within(STORED)] | None = Field(
@@ -56,7 +56,7 @@ class UploadOptions(ClosedModel):
         default=None,
         ge=1,
         le=65_535,
-        description="band that holds the heights, from 1; a GeoTIFF with several needs it",
+        description="band or variable that holds the heights, from 1; a file with several needs it",
     )
     reproject: str | None = Field(
         default=None,

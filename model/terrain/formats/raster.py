@@ -21,7 +21,7 @@ from joulemap.model.errors import HeightmapError
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.coordinate_systems import crs_name, flat_crs, warp_command
 from joulemap.model.terrain.decoded import MAX_SIDE, SAME_LENGTH, Scaling, check_cells
-from joulemap.model.terrain.formats import RASTER_SUFFIXES
+from joulemap.model.terrain.formats import FORMATS, formats_in_words
 from joulemap.model.terrain.formats.ascii_text import check_ascii_grid
 from joulemap.model.terrain.formats.colours import GREY, Colours, colours_of
 from joulemap.model.terrain.formats.gdal import ALONE, BESIDE, opened
@@ -74,21 +74,21 @@ _NAMES = re.compile(
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark of a format, or by the name where it has none.
+    """Take any file that no other format has taken: GDAL decides by all of its content.
 
     Parameters
     ----------
     head : bytes
-        First bytes of the file.
+        Not used.
     name : str
-        Of the file.
+        Not used.
 
     Returns
     -------
     bool
-        True for a raster.
+        True.
     """
-    return _marked(head) is not None or name.lower().endswith(RASTER_SUFFIXES)
+    return True
 
 
 def open_windows(
@@ -153,9 +153,10 @@ def open_windows(
                 "beside the file, or both into one zip"
             ) from error
         more = " that names no other file (gdal_translate makes a GeoTIFF of others)" if source.alone else ""
-        raise HeightmapError(
-            f"{source.name} is not what its name says: there is no raster in its content{more}"
-        ) from error
+        words = "is not what its name says: there is no raster in its content" + more
+        if suffix not in (each for one in FORMATS for each in one.suffixes):
+            words = f"is not a heightmap: {formats_in_words()} are read"
+        raise HeightmapError(f"{source.name} {words}", name=source.name) from error
 
 
 @dataclass(frozen=True)
