@@ -246,9 +246,7 @@ _READING: dict[str, tuple[str, Any, Any]] = {  # option -> what the library call
     ),
     "band": (
         "band",
-        Annotated[
-            int | None, _heightmap_option("Band or variable with the heights, from 1.", min=1, metavar="N")
-        ],
+        Annotated[int | None, _heightmap_option("Band or variable with the heights, from 1.", min=1, metavar="N")],
         None,
     ),
     "reproject": (

@@ -20,7 +20,7 @@ from joulemap.model.terrain.formats.colours import ENCODINGS
 from joulemap.model.terrain.formats.points import lzf
 from joulemap.model.terrain.plausible import heightmap_warnings
 from joulemap.model.terrain.readers import open_ground, read_heightmap, read_sent
-from tests.reference.heightmap_files import ASC, geotiff, npy, png, points_file
+from tests.reference.heightmap_files import ASC, geotiff, npy, npz, png, points_file
 
 ROW, COL = np.mgrid[0:40, 0:50]
 HILL = (100.0 + 6.0 * np.exp(-((ROW - 20.0) ** 2 + (COL - 25.0) ** 2) / 90.0) + 0.02 * COL).astype(np.float32)
@@ -159,6 +159,16 @@ def test_texts_of_points_as_people_write_them() -> None:
         found = read_sent(text.encode(), filename=name, crs="EPSG:32630")
         assert found.frame.bounds == (500_000.0, 4_000_000.0, 500_010.0, 4_000_010.0), name
         assert float(found.heights[9, 9]) == 16.75
+
+
+def test_rows_of_heights_are_no_points_and_archives_name_their_array() -> None:
+    text = "\n".join(",".join(f"{value:.8f}" for value in row) for row in HILL).encode()
+    found = read_sent(text, filename="heights.csv", resolution_m=1.0)
+    np.testing.assert_allclose(found.heights, HILL, atol=1e-3)
+    assert "rows of heights" in found.notes[0]
+    np.testing.assert_array_equal(read_sent(npz(elevation=HILL, dx=0.5), resolution_m=1.0).heights, HILL)
+    with pytest.raises(HeightmapError, match="it has elevation, z"):
+        read_sent(npz(elevation=HILL, z=HILL), resolution_m=1.0)
 
 
 def test_a_compound_crs_gives_its_plane_and_the_unit_of_its_heights() -> None:

@@ -17,6 +17,7 @@ from joulemap.model.terrain.decoded import Decoded, Scaling
 from joulemap.model.terrain.formats.npy import read_header, read_heights
 
 _MAX_SCALAR_BYTES = 65_536  # a CRS in WKT is about 1,000
+_NAMES = ("heights", "elevation", "height", "dem", "z", "topo")
 _SCALARS = ("resolution_m", "west_m", "north_m", "crs")
 
 
@@ -39,7 +40,7 @@ def recognise(head: bytes, name: str) -> bool:
 
 
 def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
-    """Read the array `heights` (rows, cols) and, where they are there, `resolution_m`, `west_m`, `north_m` and `crs`.
+    """Read the array `heights` (or `elevation`) and, where they are there, `resolution_m`, `west_m`, `north_m`, `crs`.
 
     Parameters
     ----------
@@ -71,14 +72,17 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
     try:
         with source.open() as stream, zipfile.ZipFile(stream) as archive:
             members = {i.filename.removesuffix(".npy"): i for i in archive.infolist() if i.filename.endswith(".npy")}
-            if "heights" not in members:
+            named = [name for name in _NAMES if name in members]
+            if len(named) != 1:
                 raise HeightmapError(
                     f"the .npz file has no array `heights`; it has {', '.join(sorted(members)[:20])[:500] or 'none'}",
                     found=sorted(members)[:20],
                 )
-            with archive.open(members["heights"]) as member:
-                length = members["heights"].file_size
-                heights = read_heights(member, "`heights` of the .npz file", scaling, max_cells, expected_length=length)
+            with archive.open(members[named[0]]) as member:
+                length = members[named[0]].file_size
+                heights = read_heights(
+                    member, f"`{named[0]}` of the .npz file", scaling, max_cells, expected_length=length
+                )
             scalars = {}
             for key in _SCALARS:
                 if key in members:

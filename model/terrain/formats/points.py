@@ -14,7 +14,9 @@ from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded, Scaling, check_
 from joulemap.model.terrain.point_grid import PointGrid
 
 _NUMBER = rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_LINE = re.compile(rb"\s*" + rb"[ \t,;]+".join([_NUMBER] * 3) + rb"[ \t,;]*(?:[ \t,;]" + _NUMBER + rb"[ \t,;]*)*[\r\n]")
+_LINE = re.compile(
+    rb"\s*" + rb"[ \t,;]+".join([_NUMBER] * 3) + rb"[ \t,;]*(?:[ \t,;]" + _NUMBER + rb"[ \t,;]*)*(?:[\r\n]|\Z)"
+)
 _COMMENTS = re.compile(rb"(?:\xef\xbb\xbf)?(?:\s*(?:#|//)[^\r\n]*[\r\n]+)*")
 _SPACE = rb"\"?[ \t,;]+\"?"
 _HEADER = re.compile(
@@ -48,6 +50,9 @@ _PLY_TYPES = {
 }
 _PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_BYTES = 65_536
+_MOST_OF_A_POINT = (
+    20  # place, colour, normal, and the dozen attributes of LAS; a line of more numbers is a row of heights
+)
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -106,6 +111,11 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
         points = _ply(source, max_cells)
     else:
         points = _pcd(source, max_cells) if _is_pcd(source.head) else _points(source, max_cells)
+    if points.shape[1] > _MOST_OF_A_POINT:
+        check_cells(len(points), points.shape[1], max_cells, what=source.name)
+        return Decoded(
+            scaling.to_metres(points), notes=("its lines were read as rows of heights, the first in the north",)
+        )
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 4:
         raise HeightmapError(f"{source.name} holds {len(points)} points: there is no ground in it", points=len(points))
@@ -155,7 +165,8 @@ def _points(source: SourceFile, most: int) -> NDArray[np.float64]:
                 found += len(rows)
                 lines += part.count(b"\n")
             _check_points(found, most, source.name)
-    return np.concatenate([np.empty((0, 3)), *(part[:, :3] for part in parts)])
+    wide = columns if columns is not None and columns > _MOST_OF_A_POINT else 3
+    return np.concatenate([np.empty((0, wide)), *(part[:, :wide] for part in parts)])
 
 
 def _check_points(many: int, most: int, name: str) -> None:
