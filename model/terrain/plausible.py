@@ -44,6 +44,8 @@ def heightmap_warnings(ground: Ground) -> list[str]:
     found = _heights(sample)
     if frame.crs is None or on_earth(frame.crs):
         found = [*_beyond_earth(sample), *found]
+    else:
+        found.append("the map is not of the Earth: `gravity_mps2` of the robot must be that of its body")
     if frame.crs is None:
         if max(abs(frame.west_m), abs(frame.north_m)) > _FAR_M:
             found.append(

@@ -220,7 +220,8 @@ def test_the_moon_has_maps_and_a_sixth_of_the_weight() -> None:
     plane = geotiff(HILL, crs=moon, transform=Affine(1.0, 0.0, 1000.0, 0.0, -1.0, 2000.0))
     found = read_sent(plane)
     np.testing.assert_array_equal(found.heights, HILL)
-    assert heightmap_warnings(found) == []
+    (said,) = heightmap_warnings(found)
+    assert "`gravity_mps2` of the robot must be that of its body" in said
     assert read_sent(geotiff(HILL + 20_000, crs=moon, transform=PLACE)).heights.max() > 20_000  # Olympus Mons: 21 km
     degrees = geotiff(HILL, crs="IAU_2015:49900", transform=Affine(1e-4, 0, 77.0, 0, -1e-4, 18.5))
     with pytest.raises(HeightmapError, match="degrees"):
@@ -273,6 +274,10 @@ def test_one_file_is_read_and_no_other(tmp_path: Path, monkeypatch: pytest.Monke
     assert read_sent(envi / "hill.dat", alone=False).frame.shape == (40, 50)
     with pytest.raises(HeightmapError, match="header"):
         read_sent(envi / "hill.dat")
+    rasterio.shutil.copy(tmp_path / "plain.tif", tmp_path / "spilt.img", driver="HFA", USE_SPILL="YES")
+    np.testing.assert_array_equal(read_sent(tmp_path / "spilt.img", alone=False).heights, HILL)
+    with pytest.raises(HeightmapError, match="truncated or corrupt"):
+        read_sent(tmp_path / "spilt.img")
     for address in ("/vsicurl/http://127.0.0.1:9/a.tif", "http://127.0.0.1:9/a.tif", "/vsizip/a.zip"):
         with pytest.raises(HeightmapError, match=r"URL|no file"):
             read_heightmap(address)
