@@ -29,7 +29,7 @@ from joulemap.model.terrain.decoded import Scaling, check_cells
 from joulemap.model.terrain.formats import raster as rasters
 from joulemap.model.terrain.formats.contract import HeightmapFormat, WindowReader
 from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS
-from joulemap.model.terrain.formats.raster import Raster
+from joulemap.model.terrain.formats.raster_band import Raster
 from joulemap.model.terrain.target_grid import EDGE_POINTS, choose_crs, moved, new_grid, short_name
 
 _TOLERANCE_CELLS = 0.01  # of the places between which GDAL interpolates its transformation

@@ -17,7 +17,7 @@ from joulemap.model.errors import HeightmapError, TooLargeError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.formats import zipped
 from joulemap.model.terrain.formats.colours import ENCODINGS
-from joulemap.model.terrain.formats.points import lzf
+from joulemap.model.terrain.formats.pcd import lzf
 from joulemap.model.terrain.plausible import heightmap_warnings
 from joulemap.model.terrain.readers import open_ground, read_heightmap, read_sent
 from tests.reference.heightmap_files import ASC, geotiff, npy, npz, png, points_file

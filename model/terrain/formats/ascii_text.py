@@ -13,8 +13,10 @@ from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import check_cells
 
 _LINE = re.compile(rb"\s*([A-Za-z_]+)[ \t]+([^\s]+)[ \t]*(?:\r\n|\r|\n|$)")
-_HEADER_WORDS = "ncols nrows xllcorner yllcorner xllcenter yllcenter cellsize dx dy nodata_value"
-_KEYS = tuple(_HEADER_WORDS.split(" "))
+_WORDS = "ncols nrows xllcorner yllcorner xllcenter yllcenter cellsize dx dy nodata_value"
+HEADER_WORDS = tuple(_WORDS.split(" "))
+"""What the lines of the header begin with."""
+
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _HEADER_BYTES = 16_384  # ten lines of a header are about 300
 _PART_BYTES = 1 << 22
@@ -49,7 +51,7 @@ def check_ascii_grid(source: SourceFile, max_cells: int) -> SourceFile:
     header, at = dict[str, float](), start
     while match := _LINE.match(text, at):
         key, word = match.group(1).decode("ascii").lower(), match.group(2).decode("ascii", "replace")
-        if key not in _KEYS:
+        if key not in HEADER_WORDS:
             break
         try:
             header[key] = float(word)
