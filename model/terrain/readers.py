@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import warnings
 from pathlib import Path
@@ -10,17 +9,16 @@ from typing import Any
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
-from joulemap.model.ranges import RESOLUTION_M
 from joulemap.model.source_file import SourceFile
-from joulemap.model.terrain.coordinate_systems import Bounds, crs_name
 from joulemap.model.terrain.cut_out import PartReader, WindowLike, cells_of, transform_of
-from joulemap.model.terrain.decoded import MAX_SIDE, SAME_LENGTH, Decoded, Scaling, check_cells
+from joulemap.model.terrain.decoded import MAX_SIDE, Scaling, check_cells
 from joulemap.model.terrain.formats import FORMATS, formats_in_words
-from joulemap.model.terrain.formats.contract import HeightmapFormat, WindowReader
+from joulemap.model.terrain.formats.contract import HeightmapFormat
 from joulemap.model.terrain.formats.zipped import unpacked
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.plausible import heightmap_warnings
 from joulemap.model.terrain.reproject import reproject_file
+from joulemap.model.terrain.stated_frame import stated_frame
 from joulemap.model.terrain.windows import Ground, HeightmapFile
 
 MAX_CELLS = 400_000_000
@@ -210,11 +208,13 @@ def _ground(
             max_cells=max_cells,
             max_cells_whole=max_cells_whole,
         )
-        return HeightmapFile(warped, scaling, _frame(warped, None, 0.0, None, None), file.name, notes=warped.notes)
+        return HeightmapFile(
+            warped, scaling, stated_frame(warped, None, 0.0, None, None), file.name, notes=warped.notes
+        )
     most = max_cells if window is None else MAX_SIDE * MAX_SIDE
     reader = kind.open_windows(file, scaling, band=band, max_cells=most)
     whole = reader or kind.code.decode(file, scaling, max_cells=max_cells_whole, band=band)
-    frame, part, notes = _frame(whole, resolution_m, west_m, north_m, crs), whole, whole.notes
+    frame, part, notes = stated_frame(whole, resolution_m, west_m, north_m, crs), whole, whole.notes
     if window is not None:
         cells = cells_of(window, frame.crs, transform_of(frame), frame.shape)
         part, frame = PartReader(whole, cells), frame.window(cells.row0, cells.row1, cells.col0, cells.col1)
@@ -260,63 +260,3 @@ def _format_of(file: SourceFile) -> HeightmapFormat:
         if each.code.recognise(file.head, file.name):
             return each
     raise HeightmapError(f"{file.name} is not a heightmap: {formats_in_words()} are read", name=file.name)
-
-
-def _frame(
-    said: Decoded | WindowReader, resolution_m: float | None, west_m: float, north_m: float | None, crs: str | None
-) -> GridFrame:
-    """The file's own position where it has one, the caller's where it has none; a contradiction is refused."""
-    if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0):
-        raise HeightmapError(
-            f"`resolution_m` must be a positive number of metres, got {resolution_m}", resolution_m=str(resolution_m)
-        )
-    rows, cols = said.shape
-    own = said.resolution_m
-    if own is not None and resolution_m is not None and abs(own - resolution_m) > SAME_LENGTH * abs(own):
-        raise HeightmapError(
-            f"`resolution_m` of {resolution_m:g} m was given, but the file's cells are {own:g} m: leave it out, or "
-            "resample the file",
-            resolution_m=resolution_m,
-            file_resolution_m=own,
-        )
-    resolution = own if own is not None else resolution_m
-    if resolution is None:
-        raise HeightmapError(
-            "the file does not say how large a cell is: give `resolution_m`, the side of a cell in metres (or send a "
-            "GeoTIFF with a transform)"
-        )
-    placed = said.west_m is not None or west_m != 0.0 or north_m is not None
-    west = said.west_m if said.west_m is not None else west_m
-    north = next((edge for edge in (said.north_m, north_m) if edge is not None), rows * resolution)
-    bounds = (west, north - rows * resolution, west + cols * resolution, north) if placed else None
-    own_crs = crs_name(said.crs, bounds) if said.crs is not None else None
-    if own_crs is not None and crs is not None and _name_or_text(crs, bounds) != own_crs:
-        raise HeightmapError(
-            f"`crs` {crs[:80]} was given, but the file says {own_crs[:80]}: leave it out, or reproject the file",
-            crs=crs[:80],
-            file_crs=own_crs[:80],
-        )
-    if 0.0 < resolution < RESOLUTION_M.low and own_crs is None and crs is None:
-        raise HeightmapError(
-            f"the file's cells are {resolution:g} m, below {RESOLUTION_M.low:g} m: are they degrees? Then give `crs` "
-            "as EPSG:4326 and `reproject` as auto",
-            resolution_m=resolution,
-            limit=RESOLUTION_M.low,
-        )
-    named = own_crs if own_crs is not None or crs is None else crs_name(crs, bounds)
-    return GridFrame(
-        west_m=west,
-        north_m=north,
-        resolution_m=resolution,
-        rows=rows,
-        cols=cols,
-        crs=named,
-    )
-
-
-def _name_or_text(crs: str, bounds: Bounds | None) -> str:
-    """The name of a CRS, or the text itself where it names none that could be used."""
-    try:
-        return crs_name(crs, bounds)
-    except HeightmapError:
-        return crs

@@ -20,7 +20,10 @@ from joulemap.service.http.app import create_app
 from tests.service.conftest import settings_for
 
 NAMED = os.environ.get("JOULEMAP_WILD_DATA")
-WILD = Path(NAMED) if NAMED else Path(__file__).resolve().parents[2] / "shared" / "wild"
+AROUND = [
+    folder / "shared" / "wild" for folder in Path(__file__).resolve().parents[2:4]
+]  # in the checkout, or beside it
+WILD = Path(NAMED) if NAMED else next((folder for folder in AROUND if folder.is_dir()), AROUND[0])
 LAYERS = {"kinds.tif", "obstacles.yaml"}  # lie over a ground, and are none
 ANSWERS = (
     {

@@ -13,6 +13,7 @@ import rasterio.shutil
 from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 
+import joulemap as jm
 from joulemap.model.errors import HeightmapError, TooLargeError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.formats import zipped
@@ -230,6 +231,12 @@ def test_the_moon_has_maps_and_a_sixth_of_the_weight() -> None:
     assert moved.resolution_m == pytest.approx(
         1e-4 * 59_274 * np.sqrt(np.cos(np.radians(18.5))), rel=2e-3
     )  # R = 3396.19 km
+    costs = []
+    for gravity_mps2 in (1.62, 9.80665):
+        robot = Robot(gravity_mps2=gravity_mps2, idle_power_w=0.0)
+        costmap = jm.costmap(found, robot=robot, model="physics", spacing_m=2.0, headings=8)
+        costs.append(np.nanmean(costmap.lattice.energy_per_m))
+    assert costs[0] / costs[1] == pytest.approx(1.62 / 9.80665, rel=1e-5)
     assert Robot(gravity_mps2=1.62).weight_n == pytest.approx(Robot().weight_n * 1.62 / 9.80665)
 
 
