@@ -118,7 +118,7 @@ def read_calibration_runs(
         return cut_segments(run, charge=charge, protocol=protocol, max_speed_mps=CARRIED * robot.speed_mps)
 
     parts = iter(_cut(runs, _cut_one))
-    read = tuple(SiteSegments(site.heightmap, *islice(parts, 3)) for site in sites)
+    read = tuple(SiteSegments(site.ground, *islice(parts, 3)) for site in sites)
     return CalibrationRuns(read, robot, *_counts(runs))
 
 

@@ -43,6 +43,11 @@ class Site:
     baseline_files: tuple[Path, ...] = ()
     test_files: tuple[Path, ...] = ()
 
+    @property
+    def ground(self) -> Heightmap:
+        """What the robot drove on, as the survey lets it be known."""
+        return self.heightmap.without_noise
+
 
 @dataclass(frozen=True, eq=False)
 class SiteRuns:

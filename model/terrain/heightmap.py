@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.denoising import LEAST_NOISE_M, check_noise, denoised, estimated_noise_m
 from joulemap.model.terrain.rows import share_of
 
 FloatArray = NDArray[np.float64]
@@ -34,6 +35,8 @@ class Heightmap:
         Whether this is a part of a larger map; only then may every height be unknown.
     notes : tuple of str
         What was done to the file's heights as it was read.
+    told_noise_m : float or None
+        Standard deviation of the noise of the survey [m], where it is known; else it is estimated.
 
     Raises
     ------
@@ -46,6 +49,7 @@ class Heightmap:
     source: str = field(default="memory")
     part: bool = False
     notes: tuple[str, ...] = ()
+    told_noise_m: float | None = None
 
     def __post_init__(self) -> None:
         heights = np.ascontiguousarray(self.heights, dtype=np.float32)
@@ -57,6 +61,7 @@ class Heightmap:
             raise HeightmapError("heights must be finite or NaN (unknown), found an infinite one")
         if not self.part and np.isnan(heights).all():
             raise HeightmapError("every cell of the heightmap is unknown: there is no ground to plan on")
+        check_noise(self.told_noise_m)
         heights.setflags(write=False)
         object.__setattr__(self, "heights", heights)
 
@@ -91,6 +96,18 @@ class Heightmap:
         digest = hashlib.sha256(self.heights.data)
         digest.update(self.frame.identity.encode())
         return digest.hexdigest()[:16]
+
+    @cached_property
+    def noise_m(self) -> float:
+        """Standard deviation of the noise of the survey [m], told or estimated."""
+        return estimated_noise_m(self) if self.told_noise_m is None else self.told_noise_m
+
+    @cached_property
+    def without_noise(self) -> Heightmap:
+        """The expected ground, given this survey: what prices and limits are made of; itself where it has no noise."""
+        if self.noise_m < LEAST_NOISE_M:
+            return self
+        return replace(self, heights=denoised(self.heights, self.noise_m), told_noise_m=0.0)
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1).

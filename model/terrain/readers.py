@@ -45,6 +45,7 @@ def read_heightmap(
     band: int | None = None,
     reproject: str | None = None,
     window: WindowLike | None = None,
+    noise_m: float | None = None,
     max_cells: int = MAX_CELLS,
 ) -> Heightmap:
     """Read a heightmap from a file of any known format.
@@ -80,6 +81,9 @@ def read_heightmap(
     window : str or sequence of float, optional
         Two opposite corners of the part that is read: x, y of the map's CRS, or latitude, longitude. Of a GeoTIFF only
         that part is read from the file.
+    noise_m : float, optional
+        Standard deviation of the survey's noise [m]; 0 for a map to be taken as it is. Estimated from the map where
+        None.
     max_cells : int, optional
         Largest number of cells.
 
@@ -142,7 +146,7 @@ def read_sent(
         return ground
     rows, cols = ground.frame.shape
     heights = ground.reader.read(ground.scaling, slice(0, rows), slice(0, cols))
-    return Heightmap(heights, ground.frame, ground.source, notes=ground.notes)
+    return Heightmap(heights, ground.frame, ground.source, notes=ground.notes, told_noise_m=ground.told_noise_m)
 
 
 def open_ground(path: str | Path, *, alone: bool = False, **options: Any) -> Ground:
@@ -188,6 +192,7 @@ def _ground(
     band: int | None = None,
     reproject: str | None = None,
     window: WindowLike | None = None,
+    noise_m: float | None = None,
 ) -> Heightmap | HeightmapFile:
     """A file of up to `max_cells` cells, of `max_cells_whole` where its format is only read as a whole."""
     scaling = Scaling(scale_m, offset_m, nodata, resolution_m)
@@ -208,9 +213,8 @@ def _ground(
             max_cells=max_cells,
             max_cells_whole=max_cells_whole,
         )
-        return HeightmapFile(
-            warped, scaling, stated_frame(warped, None, 0.0, None, None), file.name, notes=warped.notes
-        )
+        frame = stated_frame(warped, None, 0.0, None, None)
+        return HeightmapFile(warped, scaling, frame, file.name, warped.notes, noise_m)
     most = max_cells if window is None else MAX_SIDE * MAX_SIDE
     reader = kind.open_windows(file, scaling, band=band, max_cells=most)
     whole = reader or kind.code.decode(file, scaling, max_cells=max_cells_whole, band=band)
@@ -221,9 +225,9 @@ def _ground(
         check_cells(frame.rows, frame.cols, max_cells, what=f"the window of {file.name}")
         notes = (*notes, _window_note(frame))
     if reader is not None:
-        return HeightmapFile(part, scaling, frame, file.name, notes=notes)
+        return HeightmapFile(part, scaling, frame, file.name, notes, noise_m)
     heights = part.read(scaling, slice(0, frame.rows), slice(0, frame.cols)).copy()
-    return Heightmap(heights, frame, file.name, notes=notes)
+    return Heightmap(heights, frame, file.name, notes=notes, told_noise_m=noise_m)
 
 
 def _window_note(frame: GridFrame) -> str:

@@ -15,6 +15,13 @@ from numpy.typing import NDArray
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.decoded import Scaling
+from joulemap.model.terrain.denoising import (
+    LEAST_NOISE_M,
+    MARGIN_CELLS,
+    check_noise,
+    denoised,
+    estimated_noise_m,
+)
 from joulemap.model.terrain.formats.contract import WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
 
@@ -46,6 +53,10 @@ class Ground(Protocol):
     @property
     def known_share(self) -> float:
         """Share of cells whose height is known, 0..1."""
+
+    @property
+    def noise_m(self) -> float:
+        """Standard deviation of the noise of the survey [m]."""
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1).
@@ -80,6 +91,8 @@ class HeightmapFile:
         The file's name.
     notes : tuple of str
         As `Heightmap.notes`.
+    told_noise_m : float or None
+        As `Heightmap.told_noise_m`.
     """
 
     reader: WindowReader
@@ -87,6 +100,15 @@ class HeightmapFile:
     frame: GridFrame
     source: str
     notes: tuple[str, ...] = ()
+    told_noise_m: float | None = None
+
+    def __post_init__(self) -> None:
+        check_noise(self.told_noise_m)
+
+    @cached_property
+    def noise_m(self) -> float:
+        """Standard deviation of the noise of the survey [m], told or estimated."""
+        return estimated_noise_m(self) if self.told_noise_m is None else self.told_noise_m
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1).
@@ -153,6 +175,18 @@ class HeightmapFile:
         for row in range(0, self.frame.rows, step):
             rows = slice(row, min(row + step, self.frame.rows))
             yield self.reader.read(self.scaling, rows, slice(0, self.frame.cols))
+
+
+def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
+    """The expected ground of cells [row0, row1) x [col0, col1), the same as that part of the whole map's."""
+    if ground.noise_m < LEAST_NOISE_M:
+        return ground.window(row0, row1, col0, col1)
+    rows, cols = ground.frame.shape
+    top, left = max(row0 - MARGIN_CELLS, 0), max(col0 - MARGIN_CELLS, 0)
+    around = ground.window(top, min(row1 + MARGIN_CELLS, rows), left, min(col1 + MARGIN_CELLS, cols))
+    heights = denoised(around.heights, ground.noise_m)[row0 - top : row1 - top, col0 - left : col1 - left]
+    place = ground.frame.window(row0, row1, col0, col1)
+    return Heightmap(heights, place, ground.source, part=True, told_noise_m=0.0)
 
 
 def overview(ground: Ground) -> Heightmap:

@@ -243,6 +243,7 @@ def distil_on_runs(
         raise ModelError(f"{start_from} is no {STUDENT} model: a student cannot start from it")
     runs, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
     check_runs(segments, heightmap, robot)
+    heightmap = heightmap.without_noise
     unseen = [str(name) for name in learned.training.get("held_out_runs", [])]
     held = [number for number, name in enumerate(segments.runs) if name in unseen]
     if not held:

@@ -172,7 +172,7 @@ def evaluate_on_sites(predictor: Predictor, sites: Sequence[Site], *, charge: bo
     runs, segments = measured.runs, measured.segments
     said = joined(
         [
-            predict_segments(predictor, site.heightmap, site.robot, segments.take(measured.on(k)))
+            predict_segments(predictor, site.ground, site.robot, segments.take(measured.on(k)))
             for k, site in enumerate(sites)
         ]
     )
@@ -181,7 +181,7 @@ def evaluate_on_sites(predictor: Predictor, sites: Sequence[Site], *, charge: bo
     covered = None
     if said.std_j is not None:
         covered = coverage(segments.energy_j[known], said.energy_j[known], said.std_j[known], predictor.spread)
-    beyond = [warning for site in sites for warning in predictor.warnings(site.heightmap, site.robot)]
+    beyond = [warning for site in sites for warning in predictor.warnings(site.ground, site.robot)]
     seen, warnings = seen_runs(predictor.provenance(), runs)
     if charge or not all(run.has_energy for run in runs):
         volts = ", ".join(sorted({f"{site.robot.nominal_voltage_v:g}" for site in sites}))

@@ -267,7 +267,7 @@ class FoldFits:
             for turned in turns[:, here]:
                 seen.append(
                     cut_examples(
-                        site.heightmap,
+                        site.ground,
                         site.robot,
                         s.x,
                         s.y,
@@ -312,7 +312,7 @@ class FoldFits:
 
     def _grade(self, number: int) -> FloatArray:
         s = self.measured.segments.take(self.measured.on(number))
-        return tan_grade(self.measured.sites[number].heightmap, s.x, s.y, s.heading_rad)
+        return tan_grade(self.measured.sites[number].ground, s.x, s.y, s.heading_rad)
 
     def _cost_rows(self, parent: Artifact | None) -> CostRows:
         """What the regression of costs reads: the traction of the network to start from, or of equation 5."""
@@ -324,14 +324,14 @@ class FoldFits:
             mine = measured.on(k)
             s = measured.segments.take(mine)
             grade[mine] = self._grade(k)
-            self.shapes[mine] = shape_features(site.heightmap, site.robot, s.x, s.y, s.heading_rad)
+            self.shapes[mine] = shape_features(site.ground, site.robot, s.x, s.y, s.heading_rad)
             if parent is None or self.start is None:
                 traction[mine] = site.robot.weight_n * (site.robot.rolling_resistance + grade[mine])
                 continue
             without = self.kind.adapted(self.start, level=0.0, climb=0.0, shape=-1.0)
             full, plain = (
                 predictor_of(self.artifact(net, DriveCosts()), {}, name="").segment_traction(
-                    site.heightmap, site.robot, s.x, s.y, s.heading_rad
+                    site.ground, site.robot, s.x, s.y, s.heading_rad
                 )
                 for net in (self.start, without)
             )
@@ -370,7 +370,7 @@ class FoldFits:
         for k, site in enumerate(self.measured.sites):
             mine = np.flatnonzero(np.isin(self.part, parts) & (self.measured.site == k))
             if mine.size:
-                said = predict_segments(predictor, site.heightmap, site.robot, self.measured.segments.take(mine))
+                said = predict_segments(predictor, site.ground, site.robot, self.measured.segments.take(mine))
                 self._said.append((mine, said.energy_j, said.std_j, said.traction_per_m))
 
     def _checkpoint(self, fold: int) -> Path:

@@ -242,7 +242,7 @@ def train_on_sites(
     keeps_runs = False
     if len(sites) == 1 and all(run.has_energy for run in measured.runs) and not charge:
         keeps_runs = keep_base_runs(
-            out, sites[0].heightmap, robot, judged.segments, judged.traction_per_m, judged.energy_j
+            out, sites[0].ground, robot, judged.segments, judged.traction_per_m, judged.energy_j
         )
     fits.forget()
     return TrainedModel(

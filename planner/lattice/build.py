@@ -24,7 +24,7 @@ from joulemap.model.terrain.windows import Ground, overview
 from joulemap.model.traction import TractionSource
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.io import LatticeFolder
-from joulemap.planner.lattice.limits import ground_limits
+from joulemap.planner.lattice.limits import ground_limits, noise_warnings
 from joulemap.planner.lattice.tiles import Tiling, ground_of
 
 DEFAULT_HEADINGS = 16
@@ -93,11 +93,12 @@ def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: 
             "source": ground.source,
             "resolution_m": ground.frame.resolution_m,
             "known_share": ground.known_share,
+            "noise_m": ground.noise_m,
         },
         "model": source.provenance(),
         "spacing_m": tiling.frame.resolution_m,
         "headings": tiling.headings,
-        "warnings": source.warnings(overview(ground), robot),
+        "warnings": [*source.warnings(overview(ground), robot), *noise_warnings(ground.noise_m, robot)],
     }
 
 

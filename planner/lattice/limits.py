@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.model.terrain.denoising import LEAST_NOISE_M
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.rows import columns_between, sample_row
 from joulemap.model.threads import pieces, share_out
@@ -17,6 +18,9 @@ from joulemap.planner.lattice import Blocked
 
 SQUARE_M = 1.0
 """Side of the square around a cell that is judged: the paper's patch."""
+
+STEP_IN_NOISE = 7.5
+"""A step of so many standard deviations of the noise is found in 95 % of the cells that it crosses."""
 
 _ROWS_AT_ONCE = 32
 
@@ -79,6 +83,22 @@ def ground_limits(
         pieces(frame.rows, _ROWS_AT_ONCE),
     )
     return elevation, gradient, blocked
+
+
+def noise_warnings(noise_m: float, robot: Robot) -> list[str]:
+    """What a survey with noise of that standard deviation [m] can hide from the limits: one sentence, or none."""
+    if noise_m < LEAST_NOISE_M:
+        return []
+    said = (
+        f"the map's heights are uncertain by about {1000.0 * noise_m:.0f} mm (standard deviation): they were smoothed, "
+        "and bumps that this hides are not in the energies"
+    )
+    if STEP_IN_NOISE * noise_m > robot.wheel_radius_m:
+        said += (
+            f". Steps of up to {STEP_IN_NOISE * noise_m:.2g} m may be hidden, more than the wheel radius of "
+            f"{robot.wheel_radius_m:g} m that {robot.name} can climb"
+        )
+    return [said]
 
 
 @njit(cache=True, nogil=True)

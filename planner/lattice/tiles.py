@@ -11,7 +11,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.ranges import HEADINGS
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.windows import Ground
+from joulemap.model.terrain.windows import Ground, window_without_noise
 
 TILE_CELLS = 256
 """Side of a tile [cells] unless its heights would be too many; a lattice on disk has one chunk per tile."""
@@ -116,7 +116,7 @@ def ground_of(ground: Ground, cells: GridFrame, robot: Robot) -> Heightmap:
     Returns
     -------
     Heightmap
-        The heights of the cells and of a margin around them.
+        The expected heights of the cells and of a margin around them, without the noise of the survey.
 
     Notes
     -----
@@ -128,7 +128,7 @@ def ground_of(ground: Ground, cells: GridFrame, robot: Robot) -> Heightmap:
     west, south, east, north = cells.bounds
     (row0, row1), (col0, col1) = ground.frame.rowcol([west, east], [north, south])
     rows = _inside(row0 - more, row1 + more, ground.frame.rows)
-    return ground.window(*rows, *_inside(col0 - more, col1 + more, ground.frame.cols))
+    return window_without_noise(ground, *rows, *_inside(col0 - more, col1 + more, ground.frame.cols))
 
 
 def _inside(low: float, high: float, size: int) -> tuple[int, int]:

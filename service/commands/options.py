@@ -205,6 +205,7 @@ class Reading(TypedDict):
     band: int | None
     reproject: str | None
     window: str | None
+    noise_m: float | None
 
 
 def _heightmap_option(help: str, **more: Any) -> Any:
@@ -272,6 +273,18 @@ _READING: dict[str, tuple[str, Any, Any]] = {  # option -> what the library call
         ],
         None,
     ),
+    "noise": (
+        "noise_m",
+        Annotated[
+            float | None,
+            _heightmap_option(
+                "Standard deviation of the survey's noise [m]; 0 takes the map as it is. [default: estimated from it]",
+                metavar="M",
+                min=0.0,
+            ),
+        ],
+        None,
+    ),
 }
 
 
@@ -303,7 +316,7 @@ def reads_heightmap(command: Callable[..., None]) -> Callable[..., None]:
     -------
     callable
         The command with `--resolution`, `--west`, `--north`, `--crs`, `--scale`, `--offset`, `--nodata`, `--band`,
-        `--reproject`, `--window`.
+        `--reproject`, `--window`, `--noise`.
     """
     hints = get_type_hints(command, include_extras=True)
     parameters = []

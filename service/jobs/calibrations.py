@@ -55,6 +55,7 @@ def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, A
         "model": model if model in MODEL_NAMES else str((models_dir / model).resolve()),
         "heightmap": str(store.heightmap_path(ground).resolve()) if ground else None,
         "heightmap_name": store.heightmap(ground).name if ground else None,
+        "noise_m": store.heightmap(ground).stats.get("noise_m") if ground else None,
         "odometry": asked.get("odometry"),
         "robot": asked["robot"],
         "runs": _files(asked["runs"]),

@@ -45,10 +45,11 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
     """
     row = store.costmap(costmap_id)
     asked = row.request
+    survey = store.heightmap(row.heightmap_id)
     order = MapOrder(
         place=store.lattice_path(row.id).resolve(),
         heightmap=store.heightmap_path(row.heightmap_id).resolve(),
-        reading={"filename": store.heightmap(row.heightmap_id).name},
+        reading={"filename": survey.name, "noise_m": survey.stats.get("noise_m")},
         robot=asked["robot"],
         model=asked["model"],
         spacing_m=asked["spacing_m"],

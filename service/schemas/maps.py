@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from joulemap.model.terrain.denoising import MOST_NOISE_M
 from joulemap.model.ranges import COORDINATE_M, HEADINGS, HEIGHT_M, RESOLUTION_M, SCALE_M, SPACING_M, STORED
 from joulemap.planner.lattice.build import DEFAULT_HEADINGS
 from joulemap.service.models import DEFAULT_MODEL
@@ -73,6 +74,13 @@ class UploadOptions(ClosedModel):
         description="read a part of the map: two opposite corners, x,y of its CRS or latitude,longitude",
         examples=["366990,4064300,367080,4064400"],
     )
+    noise_m: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=MOST_NOISE_M,
+        description="standard deviation of the survey's noise [m]; 0 takes the map as it is; default: estimated from it",
+        examples=[0.05],
+    )
 
 
 class HeightmapOut(ResponseModel):
@@ -93,6 +101,12 @@ class HeightmapOut(ResponseModel):
     height_max_m: float = Field(description="highest known height [m]", examples=[73.9])
     hash: str = Field(
         description="hash of heights and position: equal maps have equal hashes", examples=["9e107d9d372bb682"]
+    )
+    noise_m: float | None = Field(
+        default=None,
+        description="standard deviation of the survey's noise [m], told or estimated: prices and limits are made of the "
+        "ground without it; null for maps of earlier versions, which estimate it when they are used",
+        examples=[0.031],
     )
     band: int | None = Field(
         default=None, description="band of the sent GeoTIFF that holds the heights, from 1; null where none was named"

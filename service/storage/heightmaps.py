@@ -91,8 +91,9 @@ class KeptHeightmaps(Kept):
         NotFoundError
             If there is none.
         """
-        name = self.heightmap(heightmap_id).name
-        return open_ground(self.here(self.heightmap_path(heightmap_id)), filename=name, alone=True)
+        row = self.heightmap(heightmap_id)
+        path = self.here(self.heightmap_path(heightmap_id))
+        return open_ground(path, filename=row.name, alone=True, noise_m=row.stats.get("noise_m"))
 
     def heightmaps(self, *, limit: int, offset: int) -> tuple[list[HeightmapRow], int]:
         """Return one page of the heightmaps, newest first.

@@ -24,7 +24,7 @@ def heightmap_stats(heightmap: Heightmap, *, band: int | None = None) -> dict[st
     Returns
     -------
     dict
-        JSON-able: frame, share of known cells, lowest and highest height [m], and a hash of the heights.
+        JSON-able: frame, share of known cells, lowest and highest height and noise [m], and a hash of the heights.
     """
     frame = heightmap.frame
     return {
@@ -37,6 +37,7 @@ def heightmap_stats(heightmap: Heightmap, *, band: int | None = None) -> dict[st
         "height_min_m": float(np.nanmin(heightmap.heights)),
         "height_max_m": float(np.nanmax(heightmap.heights)),
         "hash": heightmap.data_hash,
+        "noise_m": heightmap.noise_m,
         "band": band,
     }
 

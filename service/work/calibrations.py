@@ -142,7 +142,7 @@ def _read(order: Mapping[str, Any], robot: Robot) -> CalibrationRuns:
     files, base, test = ([Path(file) for file in order[key]] for key in ("runs", "base_runs", "test_runs"))
     if order["heightmap"] is None:
         return read_odometry_runs(files, Odometry(**order["odometry"]), robot, baseline_files=base, test_files=test)
-    ground = read_sent(Path(order["heightmap"]), filename=order["heightmap_name"])
+    ground = read_sent(Path(order["heightmap"]), filename=order["heightmap_name"], noise_m=order["noise_m"])
     return read_calibration_runs([Site(ground, tuple(files), robot, tuple(base), tuple(test))])
 
 

@@ -1,0 +1,235 @@
+"""The ground as a noisy survey lets it be known: how large its noise is, and the heights without it.
+
+Heights are split into details of 2, 4 and 8 cells and what is left (B3 splines "with holes", Starck & Murtagh 2006).
+Noise that is independent from cell to cell has known shares in them, 0.89, 0.20 and 0.09 of its standard deviation,
+while the details of ground grow from one scale to the next. This tells both apart: the shares of three scales give the
+noise, and where the details nearby are larger than noise makes them, they are kept (local Wiener filter, Mihcak et al.
+1999; twice, the second time with the result of the first for the ground, as Lebrun 2012).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from joulemap.model.errors import HeightmapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.threads import pieces, share_out
+
+FloatArray = NDArray[np.float32]
+
+NOISE_SHARES = (0.8908, 0.2007, 0.0857)
+"""Standard deviation of the details of white noise of unit standard deviation, per scale (Starck & Murtagh 2006)."""
+LEAST_NOISE_M = 0.003
+"""Noise below this changes no price by 1 %, and rough ground alone may look like it."""
+MOST_NOISE_M = 10.0
+_HALF_SIDE = 3
+"""The ground is taken to be alike within 7 x 7 cells."""
+MARGIN_CELLS = 2 * (2 * (2 ** len(NOISE_SHARES) - 1) + _HALF_SIDE)
+"""How far a height depends on others."""
+_ROWS_AT_ONCE = 64
+_WINDOW_CELLS, _WINDOWS = 192, 4
+"""A large map is judged by 4 x 4 windows of so many cells a side."""
+_LEAST_KNOWN = 256
+"""Fewer known heights say nothing of their noise."""
+_WINDOW_CELLS, _WINDOWS = 192, 4
+"""A large map is judged by 4 x 4 windows of so many cells a side."""
+_NORMAL = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+def check_noise(noise_m: float | None) -> None:
+    """Check a standard deviation that somebody told [m]; raises HeightmapError where it cannot be one."""
+    if noise_m is not None and not 0.0 <= noise_m <= MOST_NOISE_M:
+        raise HeightmapError(
+            f"`noise_m`, the noise of a survey, must lie in 0..{MOST_NOISE_M:g} m, got {noise_m:g}",
+            noise_m=str(noise_m),
+            limit=MOST_NOISE_M,
+        )
+
+
+class _Surveyed(Protocol):
+    """What a survey is asked for: a `Ground`."""
+
+    @property
+    def frame(self) -> GridFrame:
+        """Where the grid lies."""
+
+    def window(self, row0: int, row1: int, col0: int, col1: int) -> Any:
+        """A `Heightmap` of some of its cells."""
+
+
+def estimated_noise_m(ground: _Surveyed) -> float:
+    """Return the standard deviation of the noise of a map of any size [m], from windows spread over it."""
+    (rows, cols), side = ground.frame.shape, _WINDOW_CELLS
+    if rows * cols <= _WINDOWS**2 * side**2:
+        return noise_of(ground.window(0, rows, 0, cols).heights) or 0.0
+    starts = [np.unique(np.linspace(0, max(size - side, 0), _WINDOWS).astype(int)).tolist() for size in (rows, cols)]
+    found = [
+        noise_of(ground.window(row, min(row + side, rows), col, min(col + side, cols)).heights)
+        for row in starts[0]
+        for col in starts[1]
+    ]
+    return float(np.median([noise for noise in found if noise > 0.0] or [0.0]))
+
+
+class _Surveyed(Protocol):
+    """What a survey is asked for: a `Ground`."""
+
+    @property
+    def frame(self) -> GridFrame:
+        """Where the grid lies."""
+
+    def window(self, row0: int, row1: int, col0: int, col1: int) -> Any:
+        """A `Heightmap` of some of its cells."""
+
+
+def estimated_noise_m(ground: _Surveyed) -> float:
+    """Return the standard deviation of the noise of a map of any size [m], from windows spread over it."""
+    (rows, cols), side = ground.frame.shape, _WINDOW_CELLS
+    if rows * cols <= (_WINDOWS * side) ** 2:
+        return noise_of(ground.window(0, rows, 0, cols).heights) or 0.0
+    starts = [np.unique(np.linspace(0, max(size - side, 0), _WINDOWS).astype(int)).tolist() for size in (rows, cols)]
+    found = [
+        noise_of(ground.window(row, min(row + side, rows), col, min(col + side, cols)).heights)
+        for row in starts[0]
+        for col in starts[1]
+    ]
+    return float(np.median([noise for noise in found if noise is not None] or [0.0]))
+
+
+def noise_of(heights: FloatArray) -> float | None:
+    """Return the standard deviation of the noise of a survey [m], from its heights (rows, cols) alone.
+
+    Independent noise has the same variance v at all scales (as shares of `NOISE_SHARES`), ground one that grows by the
+    same factor from scale to scale, as that of every spectrum that is a power of the wavelength does. Three scales
+    then give v in closed form (it is Aitken's extrapolation). Ground that is as rough below a cell as above it counts
+    as noise: such a map cannot tell them apart. NaN is unknown; None where too few heights are known.
+    """
+    details, known = _details(*_filled(heights))[::2]
+    if known.sum() < _LEAST_KNOWN:
+        return None
+    medians = [float(np.median(np.abs(detail[known > 0.0]))) for detail in details]
+    one, two, three = (
+        (_NORMAL * median / share) ** 2 for median, share in zip(medians, NOISE_SHARES, strict=True)
+    )
+    if not one < two < three:
+        return math.sqrt(one)
+    return math.sqrt(min(max((one * three - two**2) / (one + three - 2.0 * two), 0.0), one))
+
+
+def denoised(heights: FloatArray, noise_m: float) -> FloatArray:
+    """Return the expected heights of the ground, given a survey (rows, cols) [m] with independent noise.
+
+    Steps and bumps that stand out of the noise stay as they are; what cannot be told from noise is gone. Unknown
+    heights (NaN) stay unknown. Below `LEAST_NOISE_M` nothing is changed.
+    """
+    if noise_m < LEAST_NOISE_M:
+        return heights
+    variances = [np.float32((noise_m * share) ** 2) for share in NOISE_SHARES]
+    filled, known, base = _filled(heights)
+    details, rest, _ = _details(filled, known, base)
+    first = rest.copy()
+    for detail, variance in zip(details, variances, strict=True):
+        _by_rows(_add_shrunk, detail, detail, variance, True, first)
+    out = rest
+    for detail, ground, variance in zip(details, _details(first, known, base)[0], variances, strict=True):
+        _by_rows(_add_shrunk, detail, ground, variance, False, out)
+    return np.where(np.isnan(heights), np.float32(np.nan), out + base)
+
+
+def _filled(heights: FloatArray) -> tuple[FloatArray, FloatArray, np.float32]:
+    """Heights less a base with 0 where unknown, 1 where known and 0 elsewhere, and the base."""
+    known = ~np.isnan(heights)
+    base = np.float32(np.mean(heights[known], dtype=np.float64)) if known.any() else np.float32(0.0)
+    return np.where(known, heights - base, np.float32(0.0)), known.astype(np.float32), base
+
+
+def _details(filled: FloatArray, known: FloatArray, _: np.float32) -> tuple[list[FloatArray], FloatArray, FloatArray]:
+    """The details of every scale, the smooth rest, and where heights are known."""
+    whole = bool(known.all())
+    details = []
+    for scale in range(len(NOISE_SHARES)):
+        detail, smooth = np.empty_like(filled), np.empty_like(filled)
+        _by_rows(_smooth, filled, 2**scale, detail, smooth)
+        if not whole:
+            weight = np.empty_like(filled)
+            _by_rows(_smooth, known, 2**scale, np.empty_like(filled), weight)
+            smooth = np.where(known > 0.0, smooth / np.maximum(weight, np.float32(1e-3)), np.float32(0.0))
+            detail = filled - smooth
+        details.append(detail)
+        filled = smooth
+    return details, filled, known
+
+
+def _by_rows(work, *arguments) -> None:  # type: ignore[no-untyped-def]
+    """Call compiled work on parts of the rows of its last argument, in threads."""
+    rows = arguments[-1].shape[0]
+    share_out(lambda part: work(*arguments, part.start, part.stop), pieces(rows, _ROWS_AT_ONCE))
+
+
+@njit(cache=True)
+def _mirrored(at, size):
+    """An index within 0..size - 1 for one beyond it."""
+    while at < 0 or at >= size:
+        at = -at if at < 0 else 2 * (size - 1) - at
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _smooth(values, step, detail, out, first, end):
+    """Fill rows first..end - 1 with the average over a B3 spline of 5 x 5 cells `step` apart, and what it leaves out."""
+    rows, cols = values.shape
+    outer, inner, middle = np.float32(1 / 16), np.float32(1 / 4), np.float32(3 / 8)
+    line = np.empty(cols + 4 * step, dtype=np.float32)
+    for i in range(first, end):
+        a, b = values[_mirrored(i - 2 * step, rows)], values[_mirrored(i - step, rows)]
+        d, e = values[_mirrored(i + step, rows)], values[_mirrored(i + 2 * step, rows)]
+        c, own = values[i], line[2 * step : 2 * step + cols]
+        for j in range(cols):
+            own[j] = outer * (a[j] + e[j]) + inner * (b[j] + d[j]) + middle * c[j]
+        for j in range(2 * step):
+            line[j] = own[_mirrored(j - 2 * step, cols)]
+            line[cols + 2 * step + j] = own[_mirrored(cols + j, cols)]
+        to, more = out[i], detail[i]
+        for j in range(cols):
+            average = (
+                outer * (line[j] + line[j + 4 * step])
+                + inner * (line[j + step] + line[j + 3 * step])
+                + middle * line[j + 2 * step]
+            )
+            to[j] = average
+            more[j] = c[j] - average
+
+
+@njit(cache=True, nogil=True)
+def _add_shrunk(details, like, variance, noisy, out, first, end):
+    """Add details to rows first..end - 1, each by the share of the variance around it that is the ground's.
+
+    like : what tells that variance. noisy : whether it has the noise in it too.
+    """
+    rows, cols = details.shape
+    half = _HALF_SIDE
+    line = np.empty(cols + 2 * half, dtype=np.float32)
+    per_cell = np.float32(1.0 / (2 * half + 1) ** 2)
+    for i in range(first, end):
+        own = line[half : half + cols]
+        own[:] = 0.0
+        for k in range(-half, half + 1):
+            of = like[_mirrored(i + k, rows)]
+            for j in range(cols):
+                own[j] += of[j] * of[j]
+        for j in range(half):
+            line[j] = own[_mirrored(j - half, cols)]
+            line[cols + half + j] = own[_mirrored(cols + j, cols)]
+        for j in range(cols):
+            total = np.float32(0.0)
+            for k in range(2 * half + 1):
+                total += line[j + k]
+            energy = total * per_cell
+            ground = max(energy - variance, np.float32(0.0)) if noisy else energy
+            out[i, j] += details[i, j] * ground / (ground + variance)
