@@ -1,0 +1,109 @@
+"""What survey noise does to energies and limits: simulated grounds, driven for true, priced on surveys of every quality.
+
+`python -m tests.bench.survey_noise --sites 40` prints, by side of a cell and noise, the sum of the predicted energies over
+that of the driven ones, the mean error per metre, and how much more ground is blocked by steps than on the true ground.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from joulemap.model.energy.examples import MAX_TURN_RAD
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.field.drives import drive_along, random_waypoints
+from joulemap.model.field.robots import FieldRobot
+from joulemap.model.field.simulation import simulate_segments
+from joulemap.model.field.sites import random_site
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.survey import degrade
+from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on, smooth_site
+from joulemap.planner.lattice import Blocked
+from joulemap.planner.lattice.limits import ground_limits
+
+NOISES_M = (0.0, 0.01, 0.03, 0.05, 0.1, 0.15)
+CELLS_M = (0.1, 0.25, 0.5, 1.0)
+MODELS = ("physics", "default")
+
+
+def drawn_noise(shape: tuple[int, int], resolution_m: float, correlation_m: float, rng: np.random.Generator) -> np.ndarray:
+    """Noise of unit standard deviation, white or with a Gaussian correlation of that length."""
+    noise = rng.standard_normal(shape)
+    if correlation_m > 0.0:
+        noise = gaussian_filter(noise, correlation_m / resolution_m / np.sqrt(2.0), mode="wrap")
+        noise /= noise.std()
+    return noise
+
+
+def measure(sites: int, *, correlation_m: float, told: bool, as_surveyed: bool, seed: int) -> dict[tuple, list]:
+    """(model, cells, noise) -> per site: sum of predicted and of driven energies, error per metre; blocked share."""
+    predictors = {name: load_predictor(name) for name in MODELS}
+    found = defaultdict(list)
+    for number in range(sites):
+        rng = np.random.default_rng([seed, number])
+        site = smooth_site(rng) if number % 4 == 0 else random_site(rng, max_slope_deg=20.0)
+        declared = replace(Robot(), regeneration=0.0)
+        truth = FieldRobot.drawn(declared, rng)
+        resistance = rolling_resistance_on(level_ground(site.ground, rng), site.ground, truth)
+        declared = replace(declared, rolling_resistance=resistance)
+        truth = replace(truth, declared=declared)
+        drive = drive_along(random_waypoints(site.drivable, 12, rng), speed_mps=declared.speed_mps, rng=rng)
+        driven = simulate_segments(site, truth, drive, rng=rng)
+        straight = np.abs(driven.heading_change_rad) < MAX_TURN_RAD
+        places = driven.x[straight], driven.y[straight], driven.heading_rad[straight]
+        for cells_m in CELLS_M:
+            clean = degrade(site.terrain, resolution_m=cells_m, rng=rng)
+            frame = clean.frame.respaced(1.0)
+            steps = ground_limits(site.terrain, frame, declared)[2] == Blocked.STEP
+            unit = drawn_noise(clean.frame.shape, cells_m, correlation_m, rng)
+            for noise_m in NOISES_M:
+                heights = (clean.heights + noise_m * unit).astype(np.float32)
+                survey = Heightmap(heights, clean.frame, told_noise_m=noise_m if told else None)
+                ground = survey if as_surveyed else survey.without_noise
+                hidden = ground_limits(ground, frame, declared)[2] == Blocked.STEP
+                for name, predictor in predictors.items():
+                    traction = predictor.segment_traction(ground, declared, *places)
+                    said = np.maximum(traction, 0.0) + declared.hotel_per_m
+                    known = np.isfinite(said)
+                    energy = driven.energy_j[straight][known]
+                    error = np.abs(said[known] - energy) / energy
+                    share = hidden.mean() - steps.mean()
+                    found[name, cells_m, noise_m].append((said[known].sum(), energy.sum(), error.mean(), share))
+    return found
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sites", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--correlation", type=float, default=0.0, help="length over which noise is alike [m]")
+    parser.add_argument("--told", action="store_true", help="tell the noise instead of letting it be estimated")
+    parser.add_argument("--as-surveyed", action="store_true", help="price the surveys as they are")
+    given = parser.parse_args()
+    found = measure(
+        given.sites,
+        correlation_m=given.correlation,
+        told=given.told,
+        as_surveyed=given.as_surveyed,
+        seed=given.seed,
+    )
+    print("predicted over driven sum / mean error per metre [%] / blocked by steps, beyond the truth [% of the cells]")
+    print(f"{'':22s}", *(f"{1000 * noise_m:14.0f} mm" for noise_m in NOISES_M))
+    for name in MODELS:
+        for cells_m in CELLS_M:
+            row = []
+            for noise_m in NOISES_M:
+                said, energy, error, share = np.array(found[name, cells_m, noise_m]).T
+                ratio = np.mean(said / energy)
+                row.append(f"{ratio:6.3f} {100 * error.mean():4.1f} {100 * share.mean():+5.1f}")
+            print(f"{name:10s} {cells_m:4g} m cells", *row)
+
+
+if __name__ == "__main__":
+    main()
