@@ -131,14 +131,14 @@ class Examples:
         """
         low, high = self.features.min(axis=0).astype(float), self.features.max(axis=0).astype(float)
         robot: dict[str, tuple[float, float]] = {}
-        for k, key in enumerate(FEATURES[:-1]):
+        for k, key in enumerate(FEATURES[:-2]):
             pair = float(low[k]), float(high[k])
             if key.startswith("log_"):
                 pair = math.exp(pair[0]), math.exp(pair[1])
             robot[key.removeprefix("log_")] = pair
         if max_slope_deg is None:
             max_slope_deg = math.degrees(math.atan(float(np.abs(self.tan_grade).max())))
-        return Domain(robot, (2.0 ** float(low[-1]), 2.0 ** float(high[-1])), max_slope_deg)
+        return Domain(robot, (2.0 ** float(low[-2]), 2.0 ** float(high[-2])), max_slope_deg)
 
 
 def cut_examples(
@@ -219,7 +219,7 @@ def cut_examples(
     weight_n = robot.gravity_mps2 * (robot.mass_kg + np.asarray(arrays[5], dtype=np.float64).ravel())
     return Examples(
         inputs[known],
-        np.tile(robot_features(robot, heightmap.resolution_m), (n, 1)),
+        np.tile(robot_features(robot, heightmap.resolution_m, heightmap.removed_noise_m), (n, 1)),
         _kept(heading + turned),
         _kept(grade),
         _kept(weight_n),

@@ -1,4 +1,4 @@
-"""What networks know of a robot and of the map's resolution: eight numbers."""
+"""What networks know of a robot and of the survey: nine numbers."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.robot import Robot
+from joulemap.model.terrain.denoising import LEAST_NOISE_M
 
 FEATURES = (
     "log_mass_kg",
@@ -18,11 +19,13 @@ FEATURES = (
     "rolling_resistance",
     "hotel_over_weight",
     "log2_resolution_m",
+    "log2_noise_m",
 )
-"""hotel_over_weight is the idle energy per metre over m g; log2_resolution_m is of metres per pixel."""
+"""hotel_over_weight is the idle energy per metre over m g; log2_resolution_m is of metres per pixel; log2_noise_m is of
+the standard deviation of the noise that was taken out of the map, at least `LEAST_NOISE_M`."""
 
 
-def robot_features(robot: Robot, resolution_m: float) -> NDArray[np.float32]:
+def robot_features(robot: Robot, resolution_m: float, noise_m: float = 0.0) -> NDArray[np.float32]:
     """Return the features of a robot on a map, in the order of `FEATURES`.
 
     Parameters
@@ -31,10 +34,12 @@ def robot_features(robot: Robot, resolution_m: float) -> NDArray[np.float32]:
         As its file declares it.
     resolution_m : float
         Metres per pixel of the heightmap.
+    noise_m : float, default 0.0
+        `removed_noise_m` of the heightmap.
 
     Returns
     -------
-    ndarray of float32, (8,)
+    ndarray of float32, (9,)
         Not normalised.
     """
     return np.array(
@@ -47,6 +52,7 @@ def robot_features(robot: Robot, resolution_m: float) -> NDArray[np.float32]:
             robot.rolling_resistance,
             robot.hotel_per_m / robot.weight_n,
             math.log2(resolution_m),
+            math.log2(max(noise_m, LEAST_NOISE_M)),
         ],
         dtype=np.float32,
     )

@@ -37,6 +37,8 @@ class Heightmap:
         What was done to the file's heights as it was read.
     told_noise_m : float or None
         Standard deviation of the noise of the survey [m], where it is known; else it is estimated.
+    removed_noise_m : float
+        Standard deviation of the noise that was taken out [m]; 0 for a survey as it is.
 
     Raises
     ------
@@ -50,6 +52,7 @@ class Heightmap:
     part: bool = False
     notes: tuple[str, ...] = ()
     told_noise_m: float | None = None
+    removed_noise_m: float = 0.0
 
     def __post_init__(self) -> None:
         heights = np.ascontiguousarray(self.heights, dtype=np.float32)
@@ -107,7 +110,8 @@ class Heightmap:
         """The expected ground, given this survey: what prices and limits are made of; itself where it has no noise."""
         if self.noise_m < LEAST_NOISE_M:
             return self
-        return replace(self, heights=denoised(self.heights, self.noise_m), told_noise_m=0.0)
+        heights = denoised(self.heights, self.noise_m)
+        return replace(self, heights=heights, told_noise_m=0.0, removed_noise_m=self.noise_m)
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1).
@@ -123,7 +127,8 @@ class Heightmap:
             That part of the map.
         """
         heights = self.heights[row0:row1, col0:col1]
-        return Heightmap(heights, self.frame.window(row0, row1, col0, col1), self.source, part=True)
+        place = self.frame.window(row0, row1, col0, col1)
+        return Heightmap(heights, place, self.source, part=True, removed_noise_m=self.removed_noise_m)
 
     def sample(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         """Return bilinear heights at world points.

@@ -186,7 +186,7 @@ def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: 
     around = ground.window(top, min(row1 + MARGIN_CELLS, rows), left, min(col1 + MARGIN_CELLS, cols))
     heights = denoised(around.heights, ground.noise_m)[row0 - top : row1 - top, col0 - left : col1 - left]
     place = ground.frame.window(row0, row1, col0, col1)
-    return Heightmap(heights, place, ground.source, part=True, told_noise_m=0.0)
+    return Heightmap(heights, place, ground.source, part=True, told_noise_m=0.0, removed_noise_m=ground.noise_m)
 
 
 def overview(ground: Ground) -> Heightmap:

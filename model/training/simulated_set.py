@@ -21,7 +21,7 @@ from joulemap.model.errors import InputError
 from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.robot_dynamics import FieldRobot, Ground
 from joulemap.model.field.simulation import simulate_segments, simulate_trace
-from joulemap.model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground, random_site
+from joulemap.model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground, random_site, random_survey
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.synthesis import TerrainRecipe
@@ -202,8 +202,7 @@ def smooth_site(rng: np.random.Generator) -> Site:
         frame,
         rng,
         survey_m=float(rng.choice([0.05, 0.1, 0.2, 0.25, 0.5, 1.0])),
-        noise_m=float(rng.uniform(0.0, 0.008)),
-        smoothing_m=float(rng.uniform(0.02, 0.15)),
+        **random_survey(rng),
     )
 
 
@@ -223,7 +222,7 @@ def _drive_once(site: Site, level: Site, rng: np.random.Generator, *, run: int) 
     segments = simulate_segments(replace(site, ground=ground), truth, drive, rng=rng)
     straight = np.abs(segments.heading_change_rad) < MAX_TURN_RAD
     return cut_examples(
-        site.survey,
+        site.survey.without_noise,
         declared,
         segments.x[straight],
         segments.y[straight],

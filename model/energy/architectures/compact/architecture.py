@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.architectures.compact.dense import CompactPredictor
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, REACH_M, SQUARE, track_features
-from joulemap.model.energy.architectures.compact.weights import CompactConfig, CompactWeights, heading_basis
+from joulemap.model.energy.architectures.compact.weights import (
+    CompactConfig,
+    CompactWeights,
+    heading_basis,
+    with_all_features,
+)
 from joulemap.model.energy.architectures.contract import Architecture, TrainingDefaults
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
@@ -97,7 +102,7 @@ class Compact(Architecture["CompactNet"]):
         features = data.features[part]
         if jitter:
             noise = jitter * (net.feature_high - net.feature_low) * torch.randn_like(features)
-            noise[:, -1] = 0.0  # the map's resolution is no trait of a robot
+            noise[:, -2:] = 0.0  # resolution and noise of the map are no traits of a robot
             features = features + noise
         basis = torch.from_numpy(heading_basis(heading.numpy(), net.config.order))
         tracks = data.derived("tracks", _tracks)[part]
@@ -118,6 +123,12 @@ class Compact(Architecture["CompactNet"]):
         if start_from is None:
             net.set_feature_ranges(examples.features.min(axis=0), examples.features.max(axis=0))
         return net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def read(
+        self, config: Mapping[str, Any], weights: Mapping[str, NDArray[Any]], *, size: int
+    ) -> CompactNet:  # numpydoc ignore=PR01,RT03
+        """Make a network with given weights, those of an older version too."""
+        return super().read(config, with_all_features(weights), size=size)
 
     def adapted(
         self, net: CompactNet, *, level: float, climb: float, shape: float
@@ -152,7 +163,7 @@ class Compact(Architecture["CompactNet"]):
         costs: DriveCosts,
     ) -> CompactPredictor:  # numpydoc ignore=PR01,RT03
         """Make a predictor of the weights alone, as `Architecture.predictor_of_weights`: torch is not loaded."""
-        known = CompactWeights(weights, _widths(config, size))
+        known = CompactWeights(with_all_features(weights), _widths(config, size))
         return CompactPredictor(known, domain, provenance, name=name, spread=spread, costs=costs)
 
 

@@ -191,7 +191,7 @@ class CompactPredictor(Learned):
         return traction, segment_std(price, np.exp(spread), self._level_j(robot), factor=self.spread.factor)
 
     def _weights(self, heightmap: Heightmap, robot: Robot) -> RobotWeights:
-        return self.weights.for_robot(robot_features(robot, heightmap.resolution_m))
+        return self.weights.for_robot(robot_features(robot, heightmap.resolution_m, heightmap.removed_noise_m))
 
     @staticmethod
     def _level_j(robot: Robot) -> float:

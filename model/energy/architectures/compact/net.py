@@ -119,7 +119,7 @@ class CompactNet(Network):
 
         Parameters
         ----------
-        low, high : array_like, (8,)
+        low, high : array_like, (9,)
             Least and greatest value of each of `FEATURES`.
         """
         low_t, high_t = torch.tensor(np.asarray(low)), torch.tensor(np.asarray(high))
@@ -153,7 +153,7 @@ class CompactNet(Network):
 
         Parameters
         ----------
-        features : Tensor, (B, 8)
+        features : Tensor, (B, 9)
             As from `robot_features`.
 
         Returns
@@ -228,7 +228,7 @@ class CompactNet(Network):
         ----------
         squares : Tensor, (B, 17, 17)
             Heights [m], north up.
-        features : Tensor, (B, 8)
+        features : Tensor, (B, 9)
             As from `robot_features`.
         basis, tracks : Tensor, (B, C) and (B, 9)
             As in `ask`.

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from joulemap.model.energy.architectures.compact.tracks import TRACKS
 from joulemap.model.energy.robot_features import FEATURES
 from joulemap.model.errors import ModelError
+from joulemap.model.terrain.denoising import LEAST_NOISE_M
 
 STRIDE = 8
 """Working pixels between neighbouring answers."""
@@ -198,7 +199,7 @@ class CompactWeights:
 
         Parameters
         ----------
-        features : ndarray of float32, (8,)
+        features : ndarray of float32, (9,)
             As from `robot_features`.
 
         Returns
@@ -236,6 +237,17 @@ class CompactWeights:
             units,
             (float(gains[0]), float(gains[1])),
         )
+
+
+def with_all_features(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """The arrays of a network, of which an older one knows eight `FEATURES`: the ninth changes nothing in it."""
+    known = dict(arrays)
+    if {"robot.weight", "feature_low", "feature_high"} <= known.keys() and len(known["feature_low"]) == 8:
+        low, high = math.log2(LEAST_NOISE_M), 0.0  # of "log2_noise_m", the only one that was added
+        known["robot.weight"] = np.pad(known["robot.weight"], ((0, 0), (0, 1)))
+        known["feature_low"] = np.append(known["feature_low"], np.float32(low))
+        known["feature_high"] = np.append(known["feature_high"], np.float32(high))
+    return known
 
 
 def _scaled(
