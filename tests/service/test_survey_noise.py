@@ -1,0 +1,88 @@
+"""From a noisy survey to the cost map: on the command line, over HTTP and in Python, with and without being told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import joulemap as jm
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.cli import app
+
+NOISE_M = 0.05
+
+
+@pytest.fixture(scope="module")
+def surveys(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A smooth hill of 30 x 30 m, surveyed without noise and as a drone does."""
+    folder = tmp_path_factory.mktemp("surveys")
+    y, x = np.mgrid[0:120, 0:120] * 0.25
+    hill = 2.0 * np.sin(x / 8.0) * np.cos(y / 6.0)
+    noise = NOISE_M * np.random.default_rng(4).standard_normal(hill.shape)
+    frame = GridFrame(0.0, 30.0, 0.25, 120, 120)
+    for name, heights in (("clean", hill), ("noisy", hill + noise)):
+        write_geotiff(folder / f"{name}.tif", Heightmap(heights.astype(np.float32), frame))
+    return {name: folder / f"{name}.tif" for name in ("clean", "noisy")}
+
+
+def made(survey: Path, *options: str) -> tuple[dict, str]:
+    """The document of `joulemap costmap` and what it prints."""
+    out = survey.with_suffix(".json")
+    command = ["costmap", str(survey), "--out", str(survey.with_suffix(".zarr")), "--overwrite", "--json", str(out)]
+    done = CliRunner().invoke(app, [*command, *options])
+    assert done.exit_code == 0, done.output
+    return json.loads(out.read_text(encoding="utf-8")), " ".join(done.output.split())
+
+
+def test_the_command_takes_the_noise_out_and_says_so(surveys):
+    clean, noisy = made(surveys["clean"])[0], made(surveys["noisy"])
+    as_it_is = made(surveys["noisy"], "--noise", "0")[0]
+    mean = clean["energy_per_m"]["mean"]
+    assert noisy[0]["energy_per_m"]["mean"] == pytest.approx(mean, rel=0.1)
+    assert as_it_is["energy_per_m"]["mean"] > 1.5 * mean
+    assert noisy[0]["provenance"]["heightmap"]["noise_m"] == pytest.approx(NOISE_M, rel=0.1)
+    assert "the map's heights are uncertain by about 5" in noisy[1]
+    assert "Steps of up to" in noisy[1]
+    assert not any("uncertain" in warning for warning in clean["warnings"] + as_it_is["warnings"])
+
+
+def test_noise_that_cannot_be_is_refused(surveys):
+    out = str(surveys["noisy"].with_name("refused.zarr"))
+    done = CliRunner().invoke(app, ["costmap", str(surveys["noisy"]), "--out", out, "--noise", "11"])
+    assert done.exit_code != 0
+    assert "must lie in 0..10 m, got 11" in " ".join(done.output.split())
+
+
+def test_python_says_the_noise_and_prices_the_ground_without_it(surveys):
+    ground = jm.read_heightmap(surveys["noisy"])
+    assert ground.noise_m == pytest.approx(NOISE_M, rel=0.1)
+    told = jm.costmap(jm.read_heightmap(surveys["noisy"], noise_m=0.0)).lattice
+    assert jm.costmap(ground).lattice.traction_per_m[5:-5, 5:-5].mean() < told.traction_per_m[5:-5, 5:-5].mean() / 1.5
+
+
+def test_a_service_keeps_the_noise_beside_the_map(client, surveys):
+    def sent(**options: float) -> dict:
+        content = surveys["noisy"].read_bytes()
+        answer = client.post("/v1/heightmaps", files={"file": ("dem.tif", content)}, data=options)
+        assert answer.status_code == 201, answer.text
+        return answer.json()
+
+    def map_of(heightmap: dict) -> dict:
+        wish = {"heightmap_id": heightmap["id"]}
+        made = client.post("/v1/costmaps", json=wish, headers={"Prefer": "wait=300"}).json()
+        assert made["status"] == "done", made
+        return made
+
+    estimated, told = sent(), sent(noise_m=0.0)
+    assert estimated["noise_m"] == pytest.approx(NOISE_M, rel=0.1)
+    assert told["noise_m"] == 0.0
+    quiet, as_it_is = map_of(estimated), map_of(told)
+    assert any("uncertain by about" in warning for warning in quiet["warnings"])
+    assert quiet["energy_per_m"]["mean"] < as_it_is["energy_per_m"]["mean"] / 1.5
+    assert client.post("/v1/heightmaps", files={"file": ("dem.tif", b"x")}, data={"noise_m": 11.0}).status_code == 422

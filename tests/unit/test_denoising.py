@@ -1,0 +1,130 @@
+"""Noise of a survey: estimated from the heights alone, taken out, and what stands out of it kept."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.errors import HeightmapError
+from joulemap.model.field.sites import random_site
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.denoising import LEAST_NOISE_M, MARGIN_CELLS, denoised, noise_of
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.readers import open_ground, read_heightmap
+from joulemap.model.terrain.survey import degrade
+from joulemap.model.terrain.windows import window_without_noise
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.model.training.simulated_set import smooth_site
+from joulemap.planner.lattice import Blocked
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.lattice.limits import ground_limits, noise_warnings
+
+ROBOT = Robot()
+
+
+def surveys(cells_m, *, smooth, seed=3):
+    """A simulated ground surveyed without noise, and the generator of its noise."""
+    rng = np.random.default_rng(seed)
+    site = smooth_site(rng) if smooth else random_site(rng, max_slope_deg=20.0)
+    return degrade(site.terrain, resolution_m=cells_m, rng=rng), rng
+
+
+def noisy(clean, noise_m, rng):
+    return replace(clean, heights=(clean.heights + noise_m * rng.standard_normal(clean.frame.shape)).astype(np.float32))
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+@pytest.mark.parametrize("cells_m", [0.1, 0.25])
+@pytest.mark.parametrize("noise_m", [0.01, 0.05, 0.15])
+def test_the_noise_is_estimated_from_the_heights_alone(smooth, cells_m, noise_m):
+    clean, rng = surveys(cells_m, smooth=smooth)
+    assert noisy(clean, noise_m, rng).noise_m == pytest.approx(noise_m, rel=0.12, abs=0.003)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+@pytest.mark.parametrize(("cells_m", "noise_m"), [(0.1, 0.03), (0.1, 0.15), (0.25, 0.05), (1.0, 0.15)])
+def test_most_of_the_noise_goes_and_the_ground_stays(smooth, cells_m, noise_m):
+    clean, rng = surveys(cells_m, smooth=smooth)
+    ground = noisy(clean, noise_m, rng).without_noise
+    assert np.std(ground.heights - clean.heights) < 0.5 * noise_m
+    assert np.std(clean.without_noise.heights - clean.heights) < 0.004
+
+
+def test_without_noise_nothing_is_changed():
+    plane = Heightmap(np.add.outer(0.1 * np.arange(60), 0.2 * np.arange(50)), GridFrame(0.0, 30.0, 0.5, 60, 50))
+    assert plane.noise_m < LEAST_NOISE_M
+    assert plane.without_noise is plane
+    rough = noisy(plane, 0.05, np.random.default_rng(0))
+    np.testing.assert_array_equal(replace(rough, told_noise_m=0.0).without_noise.heights, rough.heights)
+
+
+def test_energies_hardly_depend_on_the_noise():
+    clean, rng = surveys(0.25, smooth=True)
+    model = load_predictor("default")
+
+    def mean_j(ground):
+        return np.nanmean(np.maximum(build_lattice(ground, ROBOT, model, headings=8).traction_per_m, 0.0))
+
+    survey = noisy(clean, 0.05, rng)
+    assert mean_j(replace(survey, told_noise_m=0.0)) > 1.5 * mean_j(clean)  # what it was
+    assert mean_j(survey) == pytest.approx(mean_j(clean), rel=0.15)
+
+
+@pytest.mark.parametrize(("times", "found"), [(5.0, 0.7), (7.5, 0.95)])
+def test_a_kerb_stays_and_noise_is_none(times, found):
+    frame = GridFrame(0.0, 40.0, 0.1, 400, 400)
+    x = (np.arange(400) + 0.5) * 0.1
+    step_m = 1.5 * ROBOT.wheel_radius_m
+    heights = np.where(x > 20.2, step_m, 0.0) + np.sin(x / 9.0)[:, None]
+    survey = Heightmap(heights + step_m / times * np.random.default_rng(1).standard_normal((400, 400)), frame)
+    cells = frame.respaced(1.0)
+    as_surveyed, blocked = (
+        ground_limits(ground, cells, ROBOT)[2][1:-1, 1:-1] == Blocked.STEP for ground in (survey, survey.without_noise)
+    )
+    assert as_surveyed.mean() > 0.1  # nothing but noise
+    assert blocked[:, 19].mean() > found  # the cells from x = 20 m on
+    assert np.delete(blocked, [18, 19, 20], axis=1).mean() < 0.01
+
+
+def test_unknown_heights_stay_unknown_and_change_little_around_them():
+    clean, rng = surveys(0.1, smooth=False)
+    survey = noisy(clean, 0.05, rng)
+    holes = survey.heights.copy()
+    holes[100:130, 40:90] = np.nan
+    found = denoised(holes, 0.05)
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(holes))
+    known = ~np.isnan(holes)
+    assert np.abs(found - denoised(survey.heights, 0.05))[known].max() < 0.05
+    assert noise_of(holes) == pytest.approx(noise_of(survey.heights), rel=0.05)
+
+
+def test_windows_of_a_file_are_those_of_the_whole_map(tmp_path):
+    clean, rng = surveys(0.1, smooth=False)
+    survey = noisy(clean, 0.05, rng)
+    path = tmp_path / "dem.tif"
+    write_geotiff(path, survey)
+    whole, file = read_heightmap(path).without_noise.heights, open_ground(path)
+    for place in ((0, 60, 0, 70), (100, 180, 210, 300), (40 + MARGIN_CELLS, 120, 3, 90)):
+        row0, row1, col0, col1 = place
+        part = window_without_noise(file, *place)
+        np.testing.assert_allclose(part.heights, whole[row0:row1, col0:col1], atol=1e-5)
+        assert part.removed_noise_m == file.noise_m
+
+
+def test_noise_that_is_told_counts(tmp_path):
+    clean, rng = surveys(0.1, smooth=True)
+    path = tmp_path / "dem.tif"
+    write_geotiff(path, noisy(clean, 0.05, rng))
+    assert open_ground(path, noise_m=0.02).noise_m == 0.02
+    assert read_heightmap(path, noise_m=0.0).without_noise.noise_m == 0.0
+    with pytest.raises(HeightmapError, match=r"noise of a survey, must lie in 0\.\.10 m, got -1"):
+        read_heightmap(path, noise_m=-1.0)
+
+
+def test_what_noise_hides_is_said():
+    assert noise_warnings(0.001, ROBOT) == []
+    few, many = noise_warnings(0.01, ROBOT)[0], noise_warnings(0.05, ROBOT)[0]
+    assert "about 10 mm" in few and "hidden, more than" not in few
+    assert "Steps of up to 0.38 m may be hidden, more than the wheel radius of 0.127 m" in many
