@@ -1,10 +1,9 @@
 """The ground as a noisy survey lets it be known: how large its noise is, and the heights without it.
 
-Heights are split into details of 2, 4 and 8 cells and what is left (B3 splines "with holes", Starck & Murtagh 2006).
-Noise that is independent from cell to cell has known shares in them, 0.89, 0.20 and 0.09 of its standard deviation,
-while the details of ground grow from one scale to the next. This tells both apart: the shares of three scales give the
-noise, and where the details nearby are larger than noise makes them, they are kept (local Wiener filter, Mihcak et al.
-1999; twice, the second time with the result of the first for the ground, as Lebrun 2012).
+Heights are split into details of 2, 4 and 8 cells and the rest (B3 splines with holes, Starck & Murtagh 2006).
+Noise that is independent from cell to cell has known shares in them, 0.89, 0.20 and 0.09 of its standard deviation.
+Where the details nearby are larger than noise makes them, they are kept (local Wiener filter, Mihcak et al. 1999; twice,
+the second time with the result of the first for the ground, as Lebrun 2012).
 """
 
 from __future__ import annotations
@@ -35,7 +34,10 @@ _ROWS_AT_ONCE = 64
 _WINDOW_CELLS, _WINDOWS = 192, 4
 """A large map is judged by 4 x 4 windows of so many cells a side."""
 _LEAST_KNOWN = 256
-"""Fewer known heights say nothing of their noise."""
+"""Fewer known twists say nothing of the noise."""
+_SIDES = (1, 2, 4)
+_LEAST_GROWTH = 4.0
+"""Of the variance of twists of ground when their side doubles: that of random slopes; smooth ground has 16."""
 _WINDOW_CELLS, _WINDOWS = 192, 4
 """A large map is judged by 4 x 4 windows of so many cells a side."""
 _NORMAL = 1.4826
@@ -66,31 +68,6 @@ class _Surveyed(Protocol):
 def estimated_noise_m(ground: _Surveyed) -> float:
     """Return the standard deviation of the noise of a map of any size [m], from windows spread over it."""
     (rows, cols), side = ground.frame.shape, _WINDOW_CELLS
-    if rows * cols <= _WINDOWS**2 * side**2:
-        return noise_of(ground.window(0, rows, 0, cols).heights) or 0.0
-    starts = [np.unique(np.linspace(0, max(size - side, 0), _WINDOWS).astype(int)).tolist() for size in (rows, cols)]
-    found = [
-        noise_of(ground.window(row, min(row + side, rows), col, min(col + side, cols)).heights)
-        for row in starts[0]
-        for col in starts[1]
-    ]
-    return float(np.median([noise for noise in found if noise > 0.0] or [0.0]))
-
-
-class _Surveyed(Protocol):
-    """What a survey is asked for: a `Ground`."""
-
-    @property
-    def frame(self) -> GridFrame:
-        """Where the grid lies."""
-
-    def window(self, row0: int, row1: int, col0: int, col1: int) -> Any:
-        """A `Heightmap` of some of its cells."""
-
-
-def estimated_noise_m(ground: _Surveyed) -> float:
-    """Return the standard deviation of the noise of a map of any size [m], from windows spread over it."""
-    (rows, cols), side = ground.frame.shape, _WINDOW_CELLS
     if rows * cols <= (_WINDOWS * side) ** 2:
         return noise_of(ground.window(0, rows, 0, cols).heights) or 0.0
     starts = [np.unique(np.linspace(0, max(size - side, 0), _WINDOWS).astype(int)).tolist() for size in (rows, cols)]
@@ -105,21 +82,29 @@ def estimated_noise_m(ground: _Surveyed) -> float:
 def noise_of(heights: FloatArray) -> float | None:
     """Return the standard deviation of the noise of a survey [m], from its heights (rows, cols) alone.
 
-    Independent noise has the same variance v at all scales (as shares of `NOISE_SHARES`), ground one that grows by the
-    same factor from scale to scale, as that of every spectrum that is a power of the wavelength does. Three scales
-    then give v in closed form (it is Aitken's extrapolation). Ground that is as rough below a cell as above it counts
-    as noise: such a map cannot tell them apart. NaN is unknown; None where too few heights are known.
+    The twist of the four corners of a square has the variance of the noise at any side, plus that of the ground, which
+    grows by some factor from each side to its double (for a power law always by the same one, and at least by
+    `_LEAST_GROWTH`). Three sides give both. Twists see hardly anything of hills, edges and furrows. Ground that is as
+    rough below a cell as above counts as noise: such a map cannot tell them apart. NaN is unknown; None where too
+    little is known. Standard deviations are robust (median absolute deviation; Donoho & Johnstone 1994).
     """
-    details, known = _details(*_filled(heights))[::2]
-    if known.sum() < _LEAST_KNOWN:
+    reach = _SIDES[-1]
+    if min(heights.shape) <= reach:
         return None
-    medians = [float(np.median(np.abs(detail[known > 0.0]))) for detail in details]
-    one, two, three = (
-        (_NORMAL * median / share) ** 2 for median, share in zip(medians, NOISE_SHARES, strict=True)
-    )
-    if not one < two < three:
+    rows, cols = (size - reach for size in heights.shape)
+    variances = []
+    for side in _SIDES:
+        corners = [heights[i : rows + i, j : cols + j] for i in (0, side) for j in (0, side)]
+        twist = np.abs(corners[0] - corners[1] - corners[2] + corners[3])
+        twist = twist[~np.isnan(twist)]
+        if twist.size < _LEAST_KNOWN:
+            return None
+        variances.append((0.5 * _NORMAL * float(np.median(twist))) ** 2)
+    one, two, four = variances
+    if two <= one:
         return math.sqrt(one)
-    return math.sqrt(min(max((one * three - two**2) / (one + three - 2.0 * two), 0.0), one))
+    growth = max((four - two) / (two - one), _LEAST_GROWTH)
+    return math.sqrt(max(one - (two - one) / (growth - 1.0), 0.0))
 
 
 def denoised(heights: FloatArray, noise_m: float) -> FloatArray:
@@ -182,7 +167,7 @@ def _mirrored(at, size):
 
 @njit(cache=True, nogil=True)
 def _smooth(values, step, detail, out, first, end):
-    """Fill rows first..end - 1 with the average over a B3 spline of 5 x 5 cells `step` apart, and what it leaves out."""
+    """Fill rows first..end - 1 with averages over a B3 spline of 5 x 5 cells `step` apart, and what these leave out."""
     rows, cols = values.shape
     outer, inner, middle = np.float32(1 / 16), np.float32(1 / 4), np.float32(3 / 8)
     line = np.empty(cols + 4 * step, dtype=np.float32)

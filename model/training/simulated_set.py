@@ -21,7 +21,15 @@ from joulemap.model.errors import InputError
 from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.robot_dynamics import FieldRobot, Ground
 from joulemap.model.field.simulation import simulate_segments, simulate_trace
-from joulemap.model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground, random_site, random_survey
+from joulemap.model.field.sites import (
+    TRUE_RESOLUTION_M,
+    Relief,
+    Site,
+    make_site,
+    random_ground,
+    random_site,
+    random_survey,
+)
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.synthesis import TerrainRecipe

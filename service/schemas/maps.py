@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from joulemap.model.terrain.denoising import MOST_NOISE_M
 from joulemap.model.ranges import COORDINATE_M, HEADINGS, HEIGHT_M, RESOLUTION_M, SCALE_M, SPACING_M, STORED
+from joulemap.model.terrain.denoising import MOST_NOISE_M
 from joulemap.planner.lattice.build import DEFAULT_HEADINGS
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.schemas.base import (
@@ -78,7 +78,7 @@ class UploadOptions(ClosedModel):
         default=None,
         ge=0.0,
         le=MOST_NOISE_M,
-        description="standard deviation of the survey's noise [m]; 0 takes the map as it is; default: estimated from it",
+        description="standard deviation of the survey's noise [m]; 0 takes the map as it is; estimated by default",
         examples=[0.05],
     )
 
@@ -104,8 +104,8 @@ class HeightmapOut(ResponseModel):
     )
     noise_m: float | None = Field(
         default=None,
-        description="standard deviation of the survey's noise [m], told or estimated: prices and limits are made of the "
-        "ground without it; null for maps of earlier versions, which estimate it when they are used",
+        description="standard deviation of the survey's noise [m], told or estimated: prices and limits are made of "
+        "the ground without it; null for maps of earlier versions, which estimate it when they are used",
         examples=[0.031],
     )
     band: int | None = Field(

@@ -1,7 +1,9 @@
-"""What survey noise does to energies and limits: simulated grounds, driven for true, priced on surveys of every quality.
+"""What survey noise does to energies and limits: simulated grounds, driven, and priced on surveys of every quality.
 
-`python -m tests.bench.survey_noise --sites 40` prints, by side of a cell and noise, the sum of the predicted energies over
-that of the driven ones, the mean error per metre, and how much more ground is blocked by steps than on the true ground.
+`python -m tests.bench.survey_noise --sites 40` prints, by side of a cell and noise, the sum of predicted energies over
+that of driven ones, the mean error per metre, and how much more ground is blocked by steps than on the true ground.
+With `--routes` it prints what the routes that are found on such surveys cost on the ground without noise, by the same
+model: beside their own energies (a search finds what noise makes cheap), and beside the best routes there.
 """
 
 from __future__ import annotations
@@ -23,15 +25,20 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.survey import degrade
 from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on, smooth_site
-from joulemap.planner.lattice import Blocked
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.lattice.limits import ground_limits
+from joulemap.planner.route import price_route
+from joulemap.planner.route_planner import RoutePlanner
 
 NOISES_M = (0.0, 0.01, 0.03, 0.05, 0.1, 0.15)
 CELLS_M = (0.1, 0.25, 0.5, 1.0)
 MODELS = ("physics", "default")
 
 
-def drawn_noise(shape: tuple[int, int], resolution_m: float, correlation_m: float, rng: np.random.Generator) -> np.ndarray:
+def drawn_noise(
+    shape: tuple[int, int], resolution_m: float, correlation_m: float, rng: np.random.Generator
+) -> np.ndarray:
     """Noise of unit standard deviation, white or with a Gaussian correlation of that length."""
     noise = rng.standard_normal(shape)
     if correlation_m > 0.0:
@@ -77,6 +84,44 @@ def measure(sites: int, *, correlation_m: float, told: bool, as_surveyed: bool, 
     return found
 
 
+def routes(sites: int, *, as_surveyed: bool, seed: int) -> None:
+    """Print energies of chosen routes over what they cost on the true ground, and that over the best there."""
+    robot = Robot(max_grade_deg=35.0, max_cross_slope_deg=35.0)
+    print("predicted over true energy of the chosen routes / true energy over that of the best ones")
+    found = defaultdict(list)
+    for number in range(sites):
+        rng = np.random.default_rng([seed, number])
+        site = smooth_site(rng) if number % 4 == 0 else random_site(rng, max_slope_deg=20.0)
+        ends = rng.uniform(4.0, 26.0, (3, 2, 2))
+        for cells_m in (0.25, 1.0):
+            clean = degrade(site.terrain, resolution_m=cells_m, rng=rng)
+            unit = rng.standard_normal(clean.frame.shape)
+            for name in MODELS:
+                model = load_predictor(name)
+                truth = _open(build_lattice(replace(clean, told_noise_m=0.0), robot, model))
+                best = [RoutePlanner(truth).plan(tuple(a), tuple(b)).route.energy_j for a, b in ends]
+                for noise_m in NOISES_M[1:]:
+                    heights = (clean.heights + noise_m * unit).astype(np.float32)
+                    survey = Heightmap(heights, clean.frame, told_noise_m=0.0 if as_surveyed else None)
+                    planner = RoutePlanner(_open(build_lattice(survey, robot, model)))
+                    for (a, b), least in zip(ends, best, strict=True):
+                        chosen = planner.plan(tuple(a), tuple(b)).route
+                        driven = price_route(truth, chosen.points[:, :2]).energy_j
+                        found[name, cells_m, noise_m].append((chosen.energy_j, driven, least))
+    for name in MODELS:
+        for cells_m in (0.25, 1.0):
+            row = []
+            for noise_m in NOISES_M[1:]:
+                said, driven, least = np.array(found[name, cells_m, noise_m]).sum(axis=0)
+                row.append(f"{1000 * noise_m:4.0f} mm {said / driven:5.3f} {driven / least:5.3f}")
+            print(f"{name:10s} {cells_m:4g} m cells", *row, sep="   ")
+
+
+def _open(lattice: CostLattice) -> CostLattice:
+    """The same prices without steps, so that every route exists on every survey."""
+    return replace(lattice, blocked=np.where(lattice.blocked == Blocked.STEP, Blocked.FREE, lattice.blocked))
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -85,7 +130,11 @@ def main() -> None:
     parser.add_argument("--correlation", type=float, default=0.0, help="length over which noise is alike [m]")
     parser.add_argument("--told", action="store_true", help="tell the noise instead of letting it be estimated")
     parser.add_argument("--as-surveyed", action="store_true", help="price the surveys as they are")
+    parser.add_argument("--routes", action="store_true", help="what the routes that are found cost on the true ground")
     given = parser.parse_args()
+    if given.routes:
+        routes(given.sites, as_surveyed=given.as_surveyed, seed=given.seed)
+        return
     found = measure(
         given.sites,
         correlation_m=given.correlation,
