@@ -2,8 +2,8 @@
 
 Heights are split into details of 2, 4 and 8 cells and the rest (B3 splines with holes, Starck & Murtagh 2006).
 Noise that is independent from cell to cell has known shares in them, 0.89, 0.20 and 0.09 of its standard deviation.
-Where the details nearby are larger than noise makes them, they are kept (local Wiener filter, Mihcak et al. 1999; twice,
-the second time with the result of the first for the ground, as Lebrun 2012).
+Where the details nearby are larger than noise makes them, they are kept (local Wiener filter, Mihcak et al. 1999;
+twice, the second time with the result of the first for the ground, as Lebrun 2012).
 """
 
 from __future__ import annotations
