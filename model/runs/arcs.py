@@ -31,6 +31,7 @@ Together they are the standing speed, 0.025 m/s."""
 _BRIDGED_LENGTHS = 1.0 / math.tan(math.pi / 8.0)
 # An arc that turns by a quarter leaves its chord c by c / 2 tan(pi / 8). At c = 2.41 lengths this is half a length: the
 # straight line still lies in the patch of the segment.
+_MOST_FIXES = 0.9
 _MEASURED_SHARE = 0.5  # at least so much of a segment is measured: missing rows take no more than the rest
 _ROWS_BRIDGED = 2.5  # intervals between stamps: one missing row makes two, and stamps jitter
 _RIM_M = 0.5  # half the width of a robot of 1 m: turning moves its side so far per radian
@@ -133,6 +134,27 @@ def arc_track(run: Run, length_m: float) -> ArcTrack:
     moving = speed[speed >= within / STOP_S]
     usual = float(np.median(moving)) if moving.size else 0.0
     return ArcTrack(rows, t, x, y, speed, gap, stop, still, arc, gap_m, interval, usual)
+
+
+def segment_length(run: Run) -> float:
+    """Return the length of segments that the positions of a run can carry.
+
+    Parameters
+    ----------
+    run : Run
+        With positions.
+
+    Returns
+    -------
+    float
+        1 m where nine of ten fixes lie close enough for that, else the distance between fixes that nine of ten do not
+        exceed: a car that is logged once a second has a fix each 10 to 40 m.
+    """
+    fixes = np.flatnonzero(np.isfinite(run.x) & np.isfinite(run.y))
+    step = np.hypot(np.diff(run.x[fixes]), np.diff(run.y[fixes]))[~run.breaks[fixes][1:]]
+    moved = step[step > STILL_M]
+    usual = float(np.quantile(moved, _MOST_FIXES)) if moved.size else 0.0
+    return usual if usual > _BRIDGED_LENGTHS else 1.0
 
 
 def equal_parts(arc_m: FloatArray, gap: BoolArray, stop: BoolArray, length_m: float) -> tuple[FloatArray, list[float]]:

@@ -39,6 +39,7 @@ from joulemap.model.runs.arcs import (
     arc_track,
     equal_parts,
     on_rows,
+    segment_length,
     station_at,
     stops_of,
 )
@@ -79,7 +80,7 @@ Protocol = Literal["track", "chords"]
 def cut_segments(
     run: Run,
     *,
-    length_m: float = 1.0,
+    length_m: float | None = None,
     charge: bool = False,
     protocol: Protocol = "track",
     max_speed_mps: float = math.inf,
@@ -90,8 +91,9 @@ def cut_segments(
     ----------
     run : Run
         With positions.
-    length_m : float
-        Nominal length of a segment [m].
+    length_m : float, optional
+        Nominal length of a segment [m]. Without it, 1 m, or more where fixes lie further apart
+        (`joulemap.model.runs.arcs.segment_length`); of chords 1 m.
     charge : bool
         Integrate the current alone [A s], for logs without a voltage.
     protocol : {"track", "chords"}
@@ -111,12 +113,14 @@ def cut_segments(
     RunsError
         If the run has no voltage and `charge` is False.
     """
-    if not (math.isfinite(length_m) and length_m > 0):
+    if length_m is not None and not (math.isfinite(length_m) and length_m > 0):
         raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=str(length_m))
     if protocol not in get_args(Protocol):
         raise InputError(f"segments are cut along the 'track' or as 'chords', not as {protocol!r}", protocol=protocol)
     if not (np.isfinite(run.x) & np.isfinite(run.y)).any():
         raise RunsError(f"run {run.name}: there is no usable position", run=run.name)
+    if length_m is None:
+        length_m = segment_length(run) if protocol == "track" else 1.0
     cut = _along_the_track if protocol == "track" else _chords
     return cut(run, length_m, charge, max_speed_mps)
 

@@ -32,6 +32,7 @@ Currents = Literal["auto", "signed", "magnitude"]
 _TOTALS = ("power", "voltage", "current")
 _SIDES = ("left_current", "right_current")
 _MOST_MOTORS = 8  # of more, not all readings of the signs are tried
+_USUAL = (0.01, 0.99)  # quantiles between which a meter reads nearly always
 _MOST_FED_BACK = 0.5  # going up and down again with an efficiency of 0.7 each way gives half of it back
 
 
@@ -191,7 +192,9 @@ def _without_spikes(
     middle = median_filter(filled, 11, mode="nearest")
     away = np.abs(filled - middle)
     spread = 1.4826 * median_filter(away, 11, mode="nearest")
-    spikes = away > 6.0 * spread + share * abs(float(np.median(filled)))
+    low, high = np.quantile(filled, _USUAL)
+    unseen = (filled < low - (high - low)) | (filled > high + (high - low))  # what is there again and again is no spike
+    spikes = unseen & (away > 6.0 * spread + share * abs(float(np.median(filled))))
     add_count(repairs, f"{key}_spikes", int((spikes & ~blank).sum()))
     good = ~(spikes | blank)
     return np.interp(t, t[good], values[good])

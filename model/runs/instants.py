@@ -1,11 +1,11 @@
-"""Times that a log writes as text: dates with a time of day (ISO 8601 and close to it), and times of day alone."""
+"""Times that a log writes as text: dates with a time of day in any usual order, and times of day alone."""
 
 from __future__ import annotations
 
 import datetime as dt
-import math
 import re
 from collections.abc import Iterable
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,38 +13,62 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 _DAY_S = 86_400.0
-_DAY_FIRST = re.compile(r"^(\d{1,2})\.(\d{1,2})\.(\d{4})")  # with points the day is first everywhere
-_YEAR_FIRST = re.compile(r"^(\d{4})/(\d{1,2})/(\d{1,2})")
-_TIME_OF_DAY = re.compile(r"^(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?$")
-_FRACTION = re.compile(r"[.,](\d+)")
+_TIME_OF_DAY = re.compile(r"^(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?(?:\s*([AaPp])\.?[Mm]\.?)?$")
+_ORDERED = re.compile(r"^(\d{1,2})([./-])(\d{1,2})\2(\d{2,4})\b")
+_FRACTION = re.compile(r"(?<=\d\d:\d\d:\d\d)[.,:](\d+)")
+_ISO = re.compile(r"^\d{4}-\d\d?-\d\d?")
+_SPELT = re.compile(r"[A-Za-z]{3}|/|^\d{4}[/.]\d")  # a month as a word, or numbers with other marks between
 
 
-def seconds_of(texts: Iterable[str]) -> FloatArray:
+@overload
+def seconds_of(texts: Iterable[str | None]) -> FloatArray: ...
+@overload
+def seconds_of(texts: Iterable[str | None], *, lenient: bool) -> tuple[FloatArray, int]: ...
+
+
+def seconds_of(texts: Iterable[str | None], *, lenient: bool | None = None) -> FloatArray | tuple[FloatArray, int]:
     """Return times that were written as text.
 
     Parameters
     ----------
     texts : iterable of str
-        Such as "2024-05-01T12:00:00.25Z", "01.05.2024 12:00:00,25", "2024-05-01" or "12:00:00.25". Without a time zone
-        they are taken as UTC.
+        Such as "2024-05-01T12:00:00.25Z", "01.05.2024 12:00:00,25", "05/31/2024 12:00:00", "1-May-2024 12:00:00",
+        "2024-05-01" or "12:00:00.25". Without a time zone they are taken as UTC.
+    lenient : bool, optional
+        Whether what is no time is unknown.
 
     Returns
     -------
     ndarray of float, (n,)
-        Seconds since 1970, or since midnight where there is no date; NaN where blank.
+        Seconds since 1970, or since midnight where there is no date; NaN where blank. With `lenient` also how many are
+        no times.
 
     Raises
     ------
     ValueError
         If one is no such time; its argument is the number of the first, from 0.
+
+    Notes
+    -----
+    Of dates such as 05/31/2024 the month comes first if a day above 12 stands there in any of them, or with strokes;
+    with points the day is first everywhere.
     """
-    found = []
-    for k, text in enumerate(texts):
+    words = [(text or "").strip() for text in texts]
+    ordered = [found for word in words if (found := _ORDERED.match(word))]
+    day_first = any(found[2] == "." or int(found[1]) > 12 for found in ordered)
+    if not day_first and ordered and all(found[2] == "-" for found in ordered):
+        day_first = not any(int(found[3]) > 12 for found in ordered)
+    found, wrong = [], 0
+    for k, word in enumerate(words):
         try:
-            found.append(_seconds(text.strip()))
-        except ValueError:
-            raise ValueError(k) from None
-    return np.array(found, dtype=np.float64)
+            found.append(_seconds(word, day_first))
+        except (ValueError, OverflowError):
+            if not lenient:
+                raise ValueError(k) from None
+            wrong += 1
+            found.append(np.nan)
+    values = np.array(found, dtype=np.float64)
+    return values if lenient is None else (values, wrong)
 
 
 def across_midnight(t: FloatArray) -> FloatArray:
@@ -67,17 +91,26 @@ def across_midnight(t: FloatArray) -> FloatArray:
     return out
 
 
-def _seconds(text: str) -> float:
+def _seconds(text: str, day_first: bool) -> float:
     if not text:
-        return math.nan
+        return np.nan
     clock = _TIME_OF_DAY.match(text)
     if clock is not None:
         hours, minutes = int(clock[1]), int(clock[2])
+        if hours > 24 or minutes > 59:
+            raise ValueError(text)
+        if clock[4]:
+            hours = hours % 12 + 12 * (clock[4] in "Pp")
         return 3600.0 * hours + 60.0 * minutes + float((clock[3] or "0").replace(",", "."))
-    text = _DAY_FIRST.sub(lambda m: f"{m[3]}-{int(m[2]):02d}-{int(m[1]):02d}", text)
-    text = _YEAR_FIRST.sub(lambda m: f"{m[1]}-{int(m[2]):02d}-{int(m[3]):02d}", text)
     whole, fraction = _FRACTION.sub("", text, count=1), _FRACTION.search(text)  # Python reads six digits at most
-    when = dt.datetime.fromisoformat(whole.removesuffix(" UTC"))
+    if _ISO.match(whole):
+        when = dt.datetime.fromisoformat(whole.removesuffix(" UTC"))
+    elif _ORDERED.match(whole) or (_SPELT.search(whole) and ":" in whole):
+        from dateutil import parser  # comes with matplotlib
+
+        when = parser.parse(whole, dayfirst=day_first)
+    else:
+        raise ValueError(text)
     if when.tzinfo is None:
         when = when.replace(tzinfo=dt.UTC)
     return when.timestamp() + (float(f"0.{fraction[1]}") if fraction is not None else 0.0)

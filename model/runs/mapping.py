@@ -7,65 +7,27 @@ between, and optionally a unit or a factor after a colon: `batt_current_mA:mA`, 
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
 from joulemap.model.errors import RunsError
-from joulemap.model.runs.profiles import PROFILES
 from joulemap.model.runs.units import UNITS, conversion, known_unit, own_unit, quantity_of, unit_in_name
 
 MappingLike = Mapping[str, str] | Sequence[str] | str | Path
 """A dict, texts such as `current=batt_current_mA:mA`, or the name of a TOML file."""
 
+CAPACITY = "capacity_wh"
+"""What the battery holds [Wh], said as a number: with it, a state of charge is an energy."""
+
 _TARGET = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}")
 _SIGNS = {"+": 1, "-": -1}
 _MOST_ENTRIES = 200
 _LONGEST_SOURCE = 500
-
-_STEMS = {
-    "t": ("t", "time", "timestamp", "datetime", "secs", "seconds", "elapsed", "elapsedtime", "timesec", "unixtime"),
-    "x": ("x", "easting", "utmx", "utmeasting", "posx", "positionx"),
-    "y": ("y", "northing", "utmy", "utmnorthing", "posy", "positiony"),
-    "z": ("z", "altitude", "alt", "elevation", "gpsalt", "gpsaltitude", "posz", "positionz"),
-    "lat": ("lat", "latitude", "gpslat", "gpslatitude"),
-    "lon": ("lon", "lng", "long", "longitude", "gpslon", "gpslng", "gpslongitude"),
-    "voltage": (
-        "voltage",
-        "volts",
-        "volt",
-        "vbat",
-        "vbatt",
-        "battvoltage",
-        "batteryvoltage",
-        "batvoltage",
-        "battvolt",
-        "packvoltage",
-        "busvoltage",
-        "inputvoltage",
-    ),
-    "current": (
-        "current",
-        "amps",
-        "ibat",
-        "ibatt",
-        "battcurrent",
-        "batterycurrent",
-        "batcurrent",
-        "battcurr",
-        "packcurrent",
-        "buscurrent",
-        "inputcurrent",
-        "currentin",
-    ),
-    "power": ("power", "watts", "battpower", "batterypower", "batpower", "packpower"),
-    "speed": ("speed",),
-}
-"""Usual names of what a run needs, in lower case, without the unit and without marks between words."""
-
 
 @dataclass(frozen=True)
 class Source:
@@ -174,6 +136,8 @@ def source_of(target: str, text: str, columns: Collection[str], name: str) -> So
     RunsError
         If a column or a unit is not known.
     """
+    if target == CAPACITY and _is_number(text):
+        return Source((), text)
     whole = _parts(text, columns)
     if whole is not None:
         units = {unit_in_name(target, column)[1] for _, column in whole}
@@ -194,70 +158,6 @@ def source_of(target: str, text: str, columns: Collection[str], name: str) -> So
         )
     conversion(target, unit)
     return Source(parts, unit)
-
-
-def profile_of(columns: Collection[str]) -> tuple[str, Mapping[str, str]] | None:
-    """Return the ready mapping for a log of a known kind.
-
-    Parameters
-    ----------
-    columns : collection of str
-        Names of the columns of the log.
-
-    Returns
-    -------
-    tuple of (str, mapping) or None
-        Its name, and the entries whose columns are there.
-    """
-    for profile in PROFILES:
-        if set(profile.recognised_by) <= set(columns):
-            entries = {}
-            for target, texts in profile.mapping.items():
-                there = (text for text in texts if _known(target, text, columns))
-                if (text := next(there, None)) is not None:
-                    entries[target] = text
-            return profile.name, entries
-    return None
-
-
-def guessed(columns: Iterable[str], *, taken: Collection[str], name: str) -> dict[str, Source]:
-    """Return the columns that are recognised by their usual names, with the unit that the name says.
-
-    Parameters
-    ----------
-    columns : iterable of str
-        Names of columns of numbers, and of texts for the time.
-    taken : collection of str
-        Joulemap's columns that are known already.
-    name : str
-        Of the run, for messages.
-
-    Returns
-    -------
-    dict of str to Source
-        By joulemap's column; none where two columns could be it.
-    """
-    columns = list(columns)
-    found: dict[str, Source] = {}
-    for target, stems in _STEMS.items():
-        if target in taken or target in columns:
-            continue
-        candidates = []
-        for column in columns:
-            stem, unit = unit_in_name(target, column)
-            if re.sub(r"[^a-z0-9]", "", stem.lower()) in stems:
-                candidates.append(Source(((1, column),), unit or ""))
-        if len(candidates) == 1:
-            found[target] = candidates[0]
-    return found
-
-
-def _known(target: str, text: str, columns: Collection[str]) -> bool:
-    try:
-        source_of(target, text, columns, "")
-    except RunsError:
-        return False
-    return True
 
 
 def _entries(text: str) -> list[str]:
@@ -300,6 +200,13 @@ def _parts(text: str, columns: Collection[str]) -> tuple[tuple[int, str], ...] |
         parts.append((sign, longest))
         text = text[len(longest) :].lstrip()
     return tuple(parts) or None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text)) and float(text) > 0
+    except ValueError:
+        return False
 
 
 def _ends(rest: str) -> bool:

@@ -20,6 +20,9 @@ LEAST_LOAD_OHM = 0.05
 MOST_A = 1_000.0
 """Where no voltage is logged: more than the packs of electric lorries give for long."""
 
+FASTEST_MPS = 70.0
+"""250 km/h, at which cars are limited."""
+
 LONGEST_STEP_S = 10.0
 """Between rows: at a walking pace no metre of ground would have a row of its own."""
 
@@ -51,14 +54,18 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
             found.append(f"its voltage is {volts:,.0f} V: is `voltage` in mV?")
         elif 0 < volts < low:
             found.append(f"its voltage is {volts:.3g} V: in which unit is `voltage`?")
-    if run.power_w is None:
+    if run.whole_j is not None:
+        energy, _ = run.whole_j
+        if energy <= 0:
+            found.append(f"its state of charge rises, by {-energy / 3600.0:,.1f} Wh: was it charged?")
+    elif run.power_w is None:
         found += _current(run)
     elif not run.power_w.any():
         found.append("its power is 0 W in all rows: was it recorded?")
     moving = segments is not None and len(segments) > 0
     if segments is not None and moving:
         speed = float(np.median(segments.driven_m / np.maximum(segments.duration_s, 1e-9)))
-        if speed > ROBOT["speed_mps"].high:
+        if speed > FASTEST_MPS:
             found.append(f"it drove {speed:,.0f} m/s: is `t` in s, and are positions in m?")
         if not segments.charge and not found:
             took = float(np.median(segments.energy_j / segments.driven_m))

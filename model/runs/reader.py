@@ -29,6 +29,7 @@ Dropped rows and long blanks leave gaps, which `joulemap.model.runs.segments` do
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -41,6 +42,7 @@ from joulemap.model.errors import RunsError
 from joulemap.model.runs.electric import Currents, electric
 from joulemap.model.runs.fixes import positions, usable_fixes
 from joulemap.model.runs.logs import read_log
+from joulemap.model.runs.mapping import CAPACITY
 from joulemap.model.runs.reckoning import fill_by_wheels
 from joulemap.model.runs.table import LEAST_ROWS, LIMITS, TableLimits, add_count, columns_there
 
@@ -82,6 +84,14 @@ class Run:
         By joulemap's column that the log has under another name or in another unit: what was taken, with its unit.
     notes : tuple of str
         What is to be known of the file: that it was cut off, for example.
+    placed : bool
+        Whether positions are places. False where the log has a distance only: then x is 0, and y is the distance.
+    unknown_s : float
+        Time in which what is drawn was not measured, and is interpolated [s].
+    whole_j : tuple of float, optional
+        Energy of the whole run and its standard deviation [J], where a state of charge is all that was logged.
+    confidence : dict of str to float
+        By joulemap's column, how sure it is that it was recognised rightly, 0 to 1.
     """
 
     name: str
@@ -99,6 +109,10 @@ class Run:
     of_motors: bool = False
     reading: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    placed: bool = True
+    unknown_s: float = 0.0
+    whole_j: tuple[float, float] | None = None
+    confidence: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.breaks.size != self.t.size:
@@ -110,7 +124,25 @@ class Run:
     @property
     def has_energy(self) -> bool:
         """Whether energy is known, and not charge alone."""
-        return self.power_w is not None or self.voltage_v is not None
+        return self.power_w is not None or self.voltage_v is not None or self.whole_j is not None
+
+    def energy(self) -> tuple[float, float]:
+        """Return the energy of the whole run.
+
+        Returns
+        -------
+        tuple of float
+            Energy and its standard deviation as far as it is that of readings that are rounded [J].
+
+        Raises
+        ------
+        RunsError
+            If there is neither a power, nor a current with a voltage, nor a state of charge.
+        """
+        if self.whole_j is not None:
+            return self.whole_j
+        power = self.drawn()
+        return float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(self.t))), 0.0
 
     def drawn(self, *, charge: bool = False) -> FloatArray:
         """Return what is drawn from the battery.
@@ -130,6 +162,11 @@ class Run:
         RunsError
             If that is not known.
         """
+        if self.whole_j is not None:
+            raise RunsError(
+                f"run {self.name}: a state of charge says the energy of the whole drive, and not that of a metre",
+                run=self.name,
+            )
         if charge:
             if np.isnan(self.current_a).all():
                 raise RunsError(f"run {self.name}: power was recorded and no current, so its charge is not known")
@@ -228,7 +265,9 @@ def parse_run(
     repairs: dict[str, int] = {}
     table = read_log(content, name, repairs, limits=limits, mapping=mapping)
     run = run_of(table.numbers, table.texts, name=name, crs=crs, repairs=repairs, currents=currents)
-    return replace(run, reading=table.reading, notes=table.notes)
+    return replace(
+        run, reading=table.reading, notes=(*table.notes, *run.notes), confidence=table.confidence
+    )
 
 
 def run_of(
@@ -270,7 +309,7 @@ def run_of(
     repairs = {} if repairs is None else repairs
     if "t" not in numbers:
         raise RunsError(
-            f"run {name}: there is no column 't' (seconds){columns_there(numbers)}; a mapping says which it is, like "
+            f"run {name}: there is no column 't' (seconds){columns_there([*numbers, *texts])}; a mapping says which it is, like "
             "t=timestamp_ms:ms",
             run=name,
             column="t",
@@ -279,15 +318,74 @@ def run_of(
     numbers = {key: values[rows] for key, values in numbers.items()}
     texts = {key: values[rows] for key, values in texts.items()}
     t = numbers.pop("t")
-    current, voltage, power, how, of_motors = electric(numbers, t, name, repairs, currents)
-    x, y = positions(numbers, name=name, crs=crs)
-    x, y, breaks = usable_fixes(t, x, y, numbers.get("gps_error"), repairs)
+    whole_j = _of_charge(numbers, name)
+    unknown_s = _unknown(t, numbers)
+    if whole_j is None:
+        current, voltage, power, how, of_motors = electric(numbers, t, name, repairs, currents)
+    else:
+        current, voltage, power, how, of_motors = np.full(t.size, np.nan), None, None, None, False
+    placed = "distance" not in numbers or bool({"x", "lat"} & numbers.keys())
+    if placed:
+        x, y = positions(numbers, name=name, crs=crs)
+        x, y, breaks = usable_fixes(t, x, y, numbers.get("gps_error"), repairs)
+    else:
+        y = numbers.pop("distance")
+        x, breaks = np.where(np.isfinite(y), 0.0, np.nan), np.zeros(t.size, dtype=bool)
     x, y = fill_by_wheels(t, x, y, breaks, numbers, repairs)
     if np.isfinite(x).sum() < 2:
         raise RunsError(
             f"run {name}: no usable position is left after the rules for bad fixes", run=name, repairs=repairs
         )
-    return Run(name, t, x, y, current, voltage, numbers, texts, breaks, repairs, power, how, of_motors)
+    return Run(
+        name,
+        t,
+        x,
+        y,
+        current,
+        voltage,
+        numbers,
+        texts,
+        breaks,
+        repairs,
+        power,
+        how,
+        of_motors,
+        placed=placed,
+        unknown_s=unknown_s,
+        whole_j=whole_j,
+    )
+
+
+def _of_charge(numbers: dict[str, FloatArray], name: str) -> tuple[float, float] | None:
+    """Energy of the whole run, and its standard deviation by the rounding, where a state of charge is all there is."""
+    soc, capacity = numbers.pop("soc", None), numbers.pop(CAPACITY, None)
+    drawn = any(key in ("power", "current", "left_current") or key.startswith("current_") for key in numbers)
+    if soc is None or drawn:
+        return None
+    known = soc[np.isfinite(soc)]
+    if capacity is None:
+        raise RunsError(
+            f"run {name}: it has a state of charge, and no current, power or counter of energy: say what the battery "
+            f"holds with a mapping, such as {CAPACITY}=500 for 500 Wh",
+            run=name,
+            column="current",
+        )
+    steps = np.abs(np.diff(np.unique(known)))
+    if not steps.size:
+        raise RunsError(f"run {name}: its state of charge is the same in every row", run=name, column="soc")
+    joules = 36.0 * float(capacity[0])  # of one per cent
+    rounding = float(steps.min()) / math.sqrt(12.0) * math.sqrt(2.0)  # evenly distributed, at both ends
+    return joules * float(known[0] - known[-1]), joules * rounding
+
+
+def _unknown(t: FloatArray, numbers: Mapping[str, FloatArray]) -> float:
+    """Time around rows in which what is drawn is not known [s]."""
+    used = ["power"] if "power" in numbers else [key for key in ("voltage", "current") if key in numbers]
+    lost = np.zeros(t.size, dtype=bool)
+    for key in used:
+        lost |= ~np.isfinite(numbers[key])
+    each = np.gradient(t) if t.size > 1 else np.zeros(t.size)
+    return float(each[lost].sum())
 
 
 def _ordered_rows(t: FloatArray, name: str, repairs: dict[str, int]) -> NDArray[np.int64]:

@@ -176,12 +176,16 @@ def concatenate_segments(parts: Sequence[Segments]) -> Segments:
     Raises
     ------
     InputError
-        If parts mix energy with charge, or lengths.
+        If parts mix energy with charge.
+
+    Notes
+    -----
+    Of different nominal lengths the largest is that of all.
     """
     if not parts:
         raise InputError("there are no segments to put together")
-    if len({(p.charge, p.length_m) for p in parts}) > 1:
-        raise InputError("segments of energy and of charge, or of different lengths, cannot be put together")
+    if len({p.charge for p in parts}) > 1:
+        raise InputError("segments of energy and of charge cannot be put together")
     offsets = np.cumsum([0] + [len(p.runs) for p in parts])
     names = sorted({key for p in parts for key in p.extras})
     words = sorted({key for p in parts for key in p.texts})
@@ -197,7 +201,7 @@ def concatenate_segments(parts: Sequence[Segments]) -> Segments:
         **{key: np.concatenate([getattr(p, key) for p in parts]) for key in plain},
         run=np.concatenate([p.run + o for p, o in zip(parts, offsets, strict=False)]),
         runs=tuple(name for p in parts for name in p.runs),
-        length_m=parts[0].length_m,
+        length_m=max(p.length_m for p in parts),
         charge=parts[0].charge,
         of_motors=all(p.of_motors for p in parts),
         extras={k: np.concatenate([p.extras.get(k, np.full(len(p), np.nan)) for p in parts]) for k in names},

@@ -166,7 +166,7 @@ def columns_there(numbers: Iterable[str]) -> str:
     str
         That lists them.
     """
-    return f"; its other columns of numbers are {', '.join(sorted(numbers)) or 'none'}"
+    return f"; its other columns of numbers are {(', '.join(sorted(numbers)) or 'none')[:400]}"
 
 
 def check_names(columns: Sequence[str], name: str) -> None:

@@ -15,6 +15,7 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
         "ns": (1e-9, 0.0),
         "min": (60.0, 0.0),
         "h": (3600.0, 0.0),
+        "d": (86_400.0, 0.0),
     },
     "length": {
         "m": (1.0, 0.0),
@@ -22,6 +23,7 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
         "mm": (1e-3, 0.0),
         "km": (1e3, 0.0),
         "ft": (0.3048, 0.0),
+        "mi": (1609.344, 0.0),
     },
     "angle": {
         "deg": (1.0, 0.0),
@@ -32,6 +34,9 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "voltage": {"V": (1.0, 0.0), "mV": (1e-3, 0.0), "cV": (0.01, 0.0), "dV": (0.1, 0.0)},
     "current": {"A": (1.0, 0.0), "mA": (1e-3, 0.0), "cA": (0.01, 0.0), "dA": (0.1, 0.0)},
     "power": {"W": (1.0, 0.0), "kW": (1e3, 0.0), "mW": (1e-3, 0.0)},
+    "energy": {"J": (1.0, 0.0), "kJ": (1e3, 0.0), "Wh": (3.6e3, 0.0), "kWh": (3.6e6, 0.0), "mWh": (3.6, 0.0)},
+    "charge": {"As": (1.0, 0.0), "Ah": (3.6e3, 0.0), "mAh": (3.6, 0.0)},
+    "share": {"%": (1.0, 0.0)},
     "speed": {
         "m/s": (1.0, 0.0),
         "cm/s": (0.01, 0.0),
@@ -60,6 +65,10 @@ _QUANTITIES = {
     "wind_from": "angle",
     "voltage": "voltage",
     "power": "power",
+    "energy": "energy",
+    "charge": "charge",
+    "soc": "share",
+    "distance": "length",
     "speed": "speed",
     "speed_left": "speed",
     "speed_right": "speed",
@@ -108,8 +117,18 @@ _SPELLINGS = {
     "mps": "m/s",
     "ms": "ms",
     "m_s": "m/s",
+    "m/sec": "m/s",
+    "meters/second": "m/s",
     "kmh": "km/h",
     "kph": "km/h",
+    "km/hr": "km/h",
+    "mi/h": "mph",
+    "miles/hour": "mph",
+    "miles": "mi",
+    "kilometers": "km",
+    "days": "d",
+    "percent": "%",
+    "pct": "%",
     "km_h": "km/h",
     "knots": "kn",
     "c": "degC",
@@ -118,6 +137,15 @@ _SPELLINGS = {
     "°f": "degF",
     "k": "K",
 }
+_PHRASES = (
+    (re.compile(r"(?i)[\W_]*(?:met(?:er|re)s?|m)_?[ ]?per_?[ ]?s(?:ec(?:ond)?)?$"), " [m/s]"),
+    (re.compile(r"(?i)[\W_]*k(?:ilo)?m(?:eters?)?_?[ ]?per_?[ ]?h(?:our)?$"), " [km/h]"),
+    (re.compile(r"(?i)[\W_]*mi(?:les)?_?[ ]?per_?[ ]?h(?:our)?$"), " [mph]"),
+    (re.compile(r"(?i)\bkilo[ _]?watt[ _]?hours?"), "kWh"),
+    (re.compile(r"(?i)(?<![a-z])watt[ _]?hours?"), "Wh"),
+    (re.compile(r"(?i)(?<![a-z])amp(?:ere)?[ _]?hours?"), "Ah"),
+)
+"""Units that are written out."""
 _BRACKETED = re.compile(r"^(.*?)[\s_]*[\[(]\s*([^\])]+?)\s*[\])]\s*$")
 
 
@@ -176,6 +204,9 @@ def known_unit(target: str, word: str) -> str | None:
     for found in (word, _SPELLINGS.get(word), _SPELLINGS.get(word.lower()), word.lower()):
         if found in units:
             return found
+    alike = [unit for unit in units if unit.lower() == word.lower()]  # WH, KWH; not mW for MW
+    if len(alike) == 1 and word not in ("MW", "MV", "MA"):
+        return alike[0]
     return word if _factor(word) is not None else None
 
 
@@ -224,6 +255,8 @@ def unit_in_name(target: str, column: str) -> tuple[str, str | None]:
     tuple of (str, str or None)
         The name without the unit, and the unit; None where the name says none.
     """
+    for phrase, words in _PHRASES:
+        column = phrase.sub(words, column)
     bracketed = _BRACKETED.match(column)
     if bracketed is not None:
         unit = known_unit(target, bracketed[2])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from joulemap.model.runs.logs import Table
+from joulemap.model.runs.table_columns import Table
 
 _FIRST = ("t", "x", "y", "lat", "lon", "z", "voltage", "current", "power")
 _ROWS = 20_000  # written at a time

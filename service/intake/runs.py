@@ -13,7 +13,8 @@ import numpy as np
 
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
-from joulemap.model.runs.logs import Table, read_log
+from joulemap.model.runs.logs import read_log
+from joulemap.model.runs.table_columns import Table
 from joulemap.model.runs.odometry import Odometry, odometry_run, read_odometry
 from joulemap.model.runs.plausible import implausible
 from joulemap.model.runs.reader import Run, parse_run, run_of
@@ -144,6 +145,7 @@ def read_sent_run(
             )
         found = _about(run, name, limits, how, accept_implausible)
         found |= {"format": table.format, "reading": table.reading, "written": False}
+        found["confidence"] = table.confidence
         found["warnings"] = [*table.notes, *found["warnings"]]
         if out is not None and (always or table.reading or table.format != _PLAIN):
             begun = Path(f"{out}.part")
@@ -185,8 +187,13 @@ def _about(
             km=km,
             limit_km=limits.km,
         )
-    cut = cut_segments if odometry is None else cut_travel
-    segments: Segments = cut(run, charge=not run.has_energy)
+    if run.whole_j is not None:
+        segments = None
+        metres = float(np.hypot(np.diff(x), np.diff(y)).sum())
+    else:
+        cut = cut_segments if odometry is None else cut_travel
+        segments = cut(run, charge=not run.has_energy)
+        metres = float(segments.driven_m.sum())
     wrong = implausible(run, segments)
     if wrong and not accept_implausible:
         raise RunsError(
@@ -195,26 +202,31 @@ def _about(
             run=name,
             implausible=wrong,
         )
-    if len(segments) == 0:
+    if segments is not None and len(segments) == 0:
         raise RunsError(
             f"run {name} contains no segment of 1 m: did the robot move, and is its position recorded?",
             run=name,
             repairs=run.repairs,
             left_out=segments.left_out,
         )
+    energy, spread = run.energy() if run.has_energy else (None, None)
     return {
         "name": name,
         "rows": len(run),
         "seconds": float(run.t[-1] - run.t[0]),
         "target": "energy_j" if run.has_energy else "charge_as",
         "columns": sorted([*run.extras, *run.texts]),
-        "segments": len(segments),
+        "segments": 0 if segments is None else len(segments),
         "repairs": run.repairs,
-        "left_out": segments.left_out,
+        "left_out": {} if segments is None else segments.left_out,
         "bounds": [float(v) for v in (x.min(), y.min(), x.max(), y.max())],
         "odometry": None if odometry is None else asdict(odometry),
-        "metres": float(segments.driven_m.sum()),
-        "per_m": float(np.median(segments.energy_j / segments.driven_m)),
+        "metres": float(metres),
+        "per_m": None if segments is None else float(np.median(segments.energy_j / segments.driven_m)),
+        "energy_j": energy,
+        "energy_std_j": spread,
+        "unknown_seconds": run.unknown_s,
+        "placed": run.placed and odometry is None,
         "warnings": wrong,
     }
 

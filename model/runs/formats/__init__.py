@@ -10,11 +10,13 @@ FORMATS = [
     LogFormat("ROS 1 bag", (".bag",), ".ros1_bag", "logs"),
     LogFormat("ROS 2 bag (SQLite)", (".db3",), ".ros2_sqlite", "logs"),
     LogFormat("ROS 2 bag of several files", (".zip", ".tar", ".tar.gz", ".tgz"), ".split_bag", "logs"),
-    LogFormat("ArduPilot dataflash log", (".bin",), ".ardupilot", "logs"),
+    LogFormat("ArduPilot dataflash log", (".bin", ".log"), ".ardupilot", "logs"),
     LogFormat("MAVLink telemetry log", (".tlog",), ".mavlink_telemetry", "logs"),
     LogFormat("PX4 ULog", (".ulg",), ".ulog", "logs"),
     LogFormat("FIT file", (".fit",), ".fit", "logs"),
-    LogFormat("CSV text", (".csv", ".tsv", ".txt"), "..csv_table"),
+    LogFormat("JSON text", (".json", ".jsonl", ".ndjson", ".geojson"), ".json_records"),
+    LogFormat("track in XML", (".gpx", ".tcx"), ".xml_track"),
+    LogFormat("CSV text", (".csv", ".tsv", ".txt"), ".text"),
 ]
 """All formats that are read, in the order in which they are tried. A module name with dots in front lies here."""
 
@@ -26,5 +28,5 @@ def formats_in_words() -> str:
 
 def suffixes() -> tuple[str, ...]:
     """Return the endings of file names by which a folder is searched for logs."""
-    any_use = (".txt", ".zip", ".tar", ".tar.gz", ".tgz")
+    any_use = (".txt", ".log", ".json", ".zip", ".tar", ".tar.gz", ".tgz")
     return tuple(suffix for each in FORMATS for suffix in each.suffixes if suffix not in any_use)

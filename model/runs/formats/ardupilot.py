@@ -1,22 +1,26 @@
-"""ArduPilot dataflash logs (.bin): battery (BAT), receiver (GPS), estimated position (POS) and attitude (ATT)."""
+"""ArduPilot dataflash logs (.bin, or .log as text): battery (BAT), receiver (GPS), estimated position (POS) and attitude (ATT)."""
 
 from __future__ import annotations
 
 import math
 import mmap
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from joulemap.model.errors import RunsError
 from joulemap.model.recordings.places import on_disk
-from joulemap.model.runs.formats.contract import Log, mentioned
+from joulemap.model.runs.formats.contract import Log, Stream, mentioned
 from joulemap.model.runs.formats.finite import FiniteMap, fill_at, filled
 from joulemap.model.runs.formats.messages import Collector, cut_off, log_of, reading
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
 
 _MAGIC = b"\xa3\x95\x80"  # the first message describes the format of such messages
+_TEXT = b"FMT, 128, 89"  # the same as text
 _KINDS = {
     "BAT": ("Volt", "Curr"),
     "CURR": ("Volt", "Curr"),
@@ -46,7 +50,7 @@ def recognise(head: bytes, name: str) -> bool:
     bool
         True for a dataflash log.
     """
-    return head.startswith(_MAGIC)
+    return head.startswith(_MAGIC) or head.lstrip().startswith(_TEXT)
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
@@ -75,7 +79,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     TooLargeError
         If it is larger than the limits.
     """
-    from pymavlink.DFReader import DFReader_binary
+    from pymavlink.DFReader import DFReader_binary, DFReader_text
 
     class _Reader(DFReader_binary):
         """Lists the messages in Python: the compiled way writes a line to the terminal for each bad byte."""
@@ -86,16 +90,17 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             self.init_arrays(progress_callback)
 
     collector = Collector(source.name, limits)
-    log = None
+    log: Any = None
     seen: list[FiniteMap] = []
 
     def _place() -> str:
         return f"at byte {seen[0].at:,} of {source.size_bytes:,}" if seen else "at its begin"
 
     with on_disk(source) as path, reading("ArduPilot log", source.name, _place):
-        end, notes = _about_end(path)
+        text = source.head.lstrip().startswith(_TEXT)
+        end, notes = (source.size_bytes, []) if text else _about_end(path)
         try:
-            log = _Reader(str(path), zero_time_base=True)
+            log = (DFReader_text if text else _Reader)(str(path), zero_time_base=True)
             known = set(log.name_to_id)
             wanted = [kind for kind in known if kind in _KINDS or any(_names(mapping, kind))]
             if not wanted:
@@ -135,7 +140,16 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         "pitch": [("ATT.Pitch", "deg")],
         "speed": [("GPS.Spd", "m/s")],
     }
-    return log_of(streams, wanted_columns, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
+    found = log_of(streams, wanted_columns, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
+    meters = [stream for stream in found.streams if stream.name.startswith("BAT") and _counts(stream)]
+    packs = tuple((f"{stream.name}.Volt", f"{stream.name}.Curr") for stream in meters)
+    return replace(found, packs=packs if len(packs) > 1 else ())
+
+
+def _counts(stream: Stream) -> bool:
+    """Whether this battery gives a current."""
+    values = [stream.numbers.get(f"{stream.name}.{key}") for key in ("Volt", "Curr")]
+    return all(column is not None and np.nan_to_num(column).any() for column in values)
 
 
 def _about_end(path: Path) -> tuple[int, list[str]]:

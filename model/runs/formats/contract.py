@@ -38,12 +38,18 @@ class Stream:
         Columns of text.
     t : ndarray of float, (n,), optional
         Stamps [s]; None where they are one of the columns.
+    units : dict of str to str
+        Of columns, where the file says them apart from the name.
+    unread : dict of str to int
+        By column of numbers, how many of its cells are none.
     """
 
     name: str
     numbers: dict[str, FloatArray]
     texts: dict[str, NDArray[np.str_]] = field(default_factory=dict)
     t: FloatArray | None = None
+    units: dict[str, str] = field(default_factory=dict)
+    unread: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -60,12 +66,15 @@ class Log:
         By joulemap's column, further places where it could be taken from.
     notes : tuple of str
         What is to be known of the file: that it was cut off, for example.
+    packs : tuple of (str, str)
+        Columns of the voltage and the current of batteries in parallel, whose powers add; empty for one battery.
     """
 
     streams: tuple[Stream, ...]
     usual: Mapping[str, str] = field(default_factory=dict)
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    packs: tuple[tuple[str, str], ...] = ()
 
 
 class LogModule(Protocol):

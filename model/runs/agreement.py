@@ -1,0 +1,224 @@
+"""Units that a log does not say, from what its columns say of each other: stamps, speeds, distances and positions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from joulemap.model.frames import wrap_angle
+from joulemap.model.runs.counters import summed
+from joulemap.model.runs.table import FloatArray
+from joulemap.model.runs.units import UNITS
+
+_EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
+"""Stamps since 1970 in these units are larger than these numbers between 1973 and the year 5000."""
+_SERIAL_DAYS = (20_000.0, 80_000.0)  # dates of spreadsheets from 1954 to 2119
+_SHORTEST_STEP_S = 1e-3  # no log of a vehicle is written more often
+_EARTH_M = 6_371_000.0
+_ALIKE = 0.2  # of a path and the distance of a speed, which differ by slips and corners
+_SPEEDS = ("m/s", "km/h", "mph")  # these differ by more; knots and miles an hour do not
+_WINDOW_S = 5.0
+_SLOWEST_MPS, _FASTEST_MPS = 0.02, 70.0  # of the path of a vehicle that drives
+
+
+def time_unit(values: FloatArray, path_m: float | None) -> tuple[str, str]:
+    """Return the unit of stamps that have none.
+
+    Parameters
+    ----------
+    values : ndarray of float, (n,)
+        As logged.
+    path_m : float, optional
+        What was driven meanwhile.
+
+    Returns
+    -------
+    tuple of str
+        The unit, empty for seconds; and why, where it is not that of an epoch.
+    """
+    known = values[np.isfinite(values)]
+    if known.size < 2:
+        return "", ""
+    largest = float(np.abs(known).max())
+    epoch = next((word for least, word in _EPOCHS if largest > least), "")
+    if epoch:
+        return epoch, ""
+    steps = np.abs(np.diff(known))
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    low, high = _SERIAL_DAYS
+    if low < known.min() and largest < high and 0 < step < _SHORTEST_STEP_S:
+        return "d", "days of a spreadsheet"
+    if path_m and step >= 10.0 and (known == np.round(known)).all():
+        span = float(np.ptp(known))
+        fitting = [
+            unit
+            for unit in ("s", "ms", "us")
+            if step * UNITS["time"][unit][0] >= _SHORTEST_STEP_S
+            and _SLOWEST_MPS < path_m / (span * UNITS["time"][unit][0]) < _FASTEST_MPS
+        ]
+        if len(fitting) == 1 and fitting != ["s"]:
+            return fitting[0], "by the way that was driven"
+    return "", ""
+
+
+def degrees_unit(target: str, values: FloatArray) -> str:
+    """Return the unit of latitudes or longitudes that are no degrees.
+
+    Parameters
+    ----------
+    target : str
+        `lat` or `lon`.
+    values : ndarray of float, (n,)
+        As logged.
+
+    Returns
+    -------
+    str
+        `degE7` for whole numbers of 1e-7 degrees, `ddmm` for degrees and minutes as NMEA writes them; else empty.
+    """
+    known = np.abs(values[np.isfinite(values) & (values != 0)])
+    most = 90.0 if target == "lat" else 180.0
+    if not known.size or np.median(known) <= most:
+        return ""
+    if np.median(known) > 1e6 and known.max() <= most * 1e7 and (known == np.round(known)).all():
+        return "degE7"
+    if known.max() <= 100.0 * most + 60.0 and (known % 100.0 < 60.0).all() and (known != np.round(known)).any():
+        return "ddmm"
+    return ""
+
+
+def of_minutes(values: FloatArray) -> FloatArray:
+    """Return degrees of numbers such as 3608.09412, which are 36 degrees and 8.09412 minutes.
+
+    Parameters
+    ----------
+    values : ndarray of float, (n,)
+        As NMEA writes them.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Degrees.
+    """
+    whole = np.floor(np.abs(values) / 100.0)
+    return np.sign(values) * (whole + (np.abs(values) - 100.0 * whole) / 60.0)
+
+
+def path_of(numbers: Mapping[str, FloatArray]) -> float | None:
+    """Return how long the way between positions is, roughly.
+
+    Parameters
+    ----------
+    numbers : mapping of str to ndarray of float, (n,)
+        Columns, of which `x` and `y` [m], or `lat` and `lon` [deg] are used.
+
+    Returns
+    -------
+    float or None
+        In metres, between about a hundred of them at least as far apart as the noise of a receiver; None without any.
+    """
+    x, y, _ = _plane(numbers)
+    if x.size < 2:
+        return None
+    step = max(1, x.size // 200)
+    return float(np.hypot(np.diff(x[::step]), np.diff(y[::step])).sum())
+
+
+def _plane(
+    numbers: Mapping[str, FloatArray], t: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Known positions in metres, and their stamps."""
+    if {"x", "y"} <= numbers.keys():
+        x, y = numbers["x"], numbers["y"]
+    elif {"lat", "lon"} <= numbers.keys():
+        lat, lon = np.radians(numbers["lat"]), np.radians(numbers["lon"])
+        middle = float(np.nanmedian(lat)) if np.isfinite(lat).any() else 0.0
+        x, y = _EARTH_M * np.cos(middle) * lon, _EARTH_M * lat
+    else:
+        return (np.empty(0),) * 3
+    t = np.zeros(x.size) if t is None else t
+    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(t)
+    return x[known], y[known], t[known]
+
+
+def speed_unit(t: FloatArray, speed: FloatArray, numbers: Mapping[str, FloatArray], path_m: float | None) -> str:
+    """Return the unit in which a speed agrees with the way that was driven.
+
+    Parameters
+    ----------
+    t : ndarray of float, (n,)
+        Stamps [s].
+    speed : ndarray of float, (n,)
+        As logged.
+    numbers : mapping of str to ndarray of float, (n,)
+        Columns with positions, if there are any.
+    path_m : float, optional
+        The way; used without positions.
+
+    Returns
+    -------
+    str
+        Empty where none does.
+
+    Notes
+    -----
+    With positions, speeds over some seconds are compared while the robot moves, because fixes that scatter make a
+    longer way.
+    """
+    x, y, at = _plane(numbers, t)
+    logged = np.interp(at, t[known], np.abs(speed[known])) if (known := np.isfinite(t) & np.isfinite(speed)).any() else at
+    if at.size > 20:
+        step = float(np.median(np.diff(at)))
+        lag = int(np.clip(np.ceil(_WINDOW_S / max(step, 1e-6)), 1, at.size // 4))
+        passed = at[lag:] - at[:-lag]
+        moving = np.hypot(x[lag:] - x[:-lag], y[lag:] - y[:-lag]) / np.maximum(passed, 1e-6)
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (logged[1:] + logged[:-1]) * np.diff(at))])
+        said = (total[lag:] - total[:-lag]) / np.maximum(passed, 1e-6)
+        clear = (passed > 0) & (said > 0) & (moving > 0.5 * np.quantile(moving, 0.9))
+        ratio = float(np.median(moving[clear] / said[clear])) if clear.any() else 0.0
+    else:
+        made = summed(t, speed)
+        whole = float(np.nanmax(made, initial=0.0))
+        ratio = path_m / whole if path_m and whole > 0 else 0.0
+    if ratio <= 0:
+        return ""
+    off = {unit: abs(np.log(ratio / UNITS["speed"][unit][0])) for unit in _SPEEDS}
+    best = min(off, key=lambda unit: off[unit])
+    return best if off[best] < _ALIKE else ""
+
+
+def compass(t: FloatArray, angle: FloatArray, numbers: Mapping[str, FloatArray]) -> tuple[FloatArray, str] | None:
+    """Return a heading of which neither unit nor direction is known, where it agrees with the way.
+
+    Parameters
+    ----------
+    t : ndarray of float, (n,)
+        Stamps [s].
+    angle : ndarray of float, (n,)
+        As logged.
+    numbers : mapping of str to ndarray of float, (n,)
+        Columns with positions.
+
+    Returns
+    -------
+    tuple of (ndarray of float, str) or None
+        Degrees clockwise from north, and the reading in words; None where no reading agrees within a quarter radian.
+    """
+    x, y, _ = _plane(numbers, np.where(np.isfinite(angle), t, np.nan))
+    if x.size < 20:
+        return None
+    lag = max(1, x.size // 100)
+    dx, dy = x[lag:] - x[:-lag], y[lag:] - y[:-lag]
+    far = np.hypot(dx, dy) > 0.5 * float(np.median(np.hypot(dx, dy)))
+    at = _plane(numbers | {"t": angle}, np.where(np.isfinite(t), angle, np.nan))[2]
+    middle = at[lag // 2 : lag // 2 + dx.size]
+    way = np.arctan2(dx, dy)
+    best = None
+    for unit, factor in (("deg", np.pi / 180.0), ("rad", 1.0)):
+        for words, turn, zero in (("clockwise from north", 1.0, 0.0), ("anticlockwise from east", -1.0, np.pi / 2)):
+            off = wrap_angle(zero + turn * factor * middle - way)
+            size = float(np.median(np.abs(off[far]))) if far.any() else np.inf
+            if best is None or size < best[0]:
+                best = (size, np.degrees(zero + turn * factor * angle) % 360.0, f"{unit}, {words}")
+    return (best[1], best[2]) if best is not None and best[0] < 0.25 else None

@@ -1,0 +1,94 @@
+"""Counters: energy or charge since the start, which may begin anew; distance counted, or summed from the speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from joulemap.model.runs.table import FloatArray
+
+_RESET_SHARE = 0.1  # a counter that begins anew falls to less than this share of what it was
+_LONGEST_STEP = 10.0  # usual steps between rows, and 10 s at least: over more nothing is summed
+
+
+def total_of(counter: FloatArray) -> FloatArray:
+    """Return what a counter counted since the first row.
+
+    Parameters
+    ----------
+    counter : ndarray of float, (n,)
+        NaN where it was not read. It may fall where energy is fed back, and begin anew.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Without its new beginnings; rising where it fell all the time, as what is left does.
+    """
+    known = np.flatnonzero(np.isfinite(counter))
+    out = np.full(counter.size, np.nan)
+    if not known.size:
+        return out
+    values = counter[known]
+    steps = np.diff(values)
+    usual = float(np.quantile(np.abs(steps), 0.99)) if steps.size else 0.0
+    anew = (steps < 0) & (np.abs(values[1:]) < _RESET_SHARE * np.abs(values[:-1])) & (-steps > 5.0 * usual)
+    steps = np.where(anew, np.clip(values[1:], 0.0, usual), steps)
+    total = np.concatenate([[0.0], np.cumsum(steps)])
+    out[known] = total if total[-1] >= 0 else -total
+    return out
+
+
+def rate_of(t: FloatArray, total: FloatArray) -> FloatArray:
+    """Return how fast a total rises, so that straight lines between rows have its sum.
+
+    Parameters
+    ----------
+    t : ndarray of float, (n,)
+        Stamps [s].
+    total : ndarray of float, (n,)
+        As `total_of` returns it.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Per second, between rows at which the counter changes; NaN before the first and after the last row that is
+        known, and where stamps do not rise.
+    """
+    known = np.isfinite(t) & np.isfinite(total)
+    rows = np.flatnonzero(known)
+    rising = np.concatenate([[True], np.diff(np.maximum.accumulate(t[rows])) > 0]) if rows.size else known[:0]
+    rows = rows[rising]
+    out = np.full(t.size, np.nan)
+    if rows.size < 2:
+        return out
+    changes = np.concatenate([[True], np.diff(total[rows]) != 0])
+    changes[-1] = True
+    at = np.interp(t[rows], t[rows][changes], total[rows][changes])
+    slope = np.diff(at) / np.diff(t[rows])
+    out[rows] = 0.5 * (np.append(slope, slope[-1]) + np.concatenate([slope[:1], slope]))
+    return out
+
+
+def summed(t: FloatArray, speed: FloatArray) -> FloatArray:
+    """Return the distance that a speed makes.
+
+    Parameters
+    ----------
+    t : ndarray of float, (n,)
+        Stamps [s].
+    speed : ndarray of float, (n,)
+        Its sign does not count [m/s]; NaN where it was not read.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        From the first row [m]; NaN in rows without a time.
+    """
+    known = np.flatnonzero(np.isfinite(t) & np.isfinite(speed))
+    out = np.full(t.size, np.nan)
+    if known.size < 2:
+        return out
+    dt, fast = np.diff(t[known]), np.abs(speed[known])
+    usual = float(np.median(dt[dt > 0])) if (dt > 0).any() else 0.0
+    dt = np.where((dt > 0) & (dt <= max(_LONGEST_STEP * usual, 10.0)), dt, 0.0)
+    out[known] = np.concatenate([[0.0], np.cumsum(0.5 * (fast[1:] + fast[:-1]) * dt)])
+    return out

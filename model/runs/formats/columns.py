@@ -1,0 +1,216 @@
+"""From Arrow's columns to numbers and texts: leniently, because a column that nobody uses refuses no file.
+
+A column whose cells are mostly numbers is one of numbers; its other cells are unknown, and counted where it is used.
+Dates and times of day become seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.formats.contract import Stream
+from joulemap.model.runs.instants import seconds_of
+from joulemap.model.runs.table import LONGEST_NAME, FloatArray, TableLimits, TextArray
+
+DATE, CLOCK = "date and time", "time of day"
+"""Units of columns of seconds since 1970, and since midnight."""
+
+_MARKS = ("", "-", "--", "?", "NA", "N/A", "n/a", "na", "NULL", "null", "None", "none", "nan", "NaN", "NAN", "#N/A")
+_NUMBER = r"^\s*(?P<number>[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[a-zA-Zµ°%][^\d]*)?$"
+_DEGREES = (
+    r"^\s*(?P<minus>[-+])?(?P<d>\d{1,3})(?:\s+|\s*[°d:]\s*)(?P<m>\d{1,2}(?:[.,]\d+)?)"
+    r"(?:(?:\s+|\s*['′m:]\s*)(?P<s>\d{1,2}(?:[.,]\d+)?)?)?\s*[\"″']*\s*(?P<side>[NSEWOnsewo])?\s*$"
+)
+_HALF = 0.5  # most cells
+
+
+def named(columns: Sequence[str]) -> list[str]:
+    """Return names of columns of which no two are alike and none is empty or too long.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        As the file has them.
+
+    Returns
+    -------
+    list of str
+        `column 7` for the seventh that has no name, `speed (2)` for the second of that name.
+    """
+    found: dict[str, None] = {}
+    for k, column in enumerate(columns, start=1):
+        name = plain = column.strip()[:LONGEST_NAME] or f"column {k}"
+        count = 1
+        while name in found:
+            count = k if count > 9 else count + 1  # no two columns have one number
+            name = f"{plain} ({count})"
+        found[name] = None
+    return list(found)
+
+
+def stream_of(
+    table: Any, name: str, limits: TableLimits, units: dict[str, str] | None = None, *, title: str = ""
+) -> Stream:
+    """Return the columns of an Arrow table.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        Of any types; columns of lists and structures are left out.
+    name : str
+        Of the run, for messages.
+    limits : TableLimits
+        How much memory texts may take; columns of longer ones are left out.
+    units : dict of str to str, optional
+        Of columns, as the file says them.
+    title : str, optional
+        Of the stream.
+
+    Returns
+    -------
+    Stream
+        Without stamps of its own.
+
+    Raises
+    ------
+    TooLargeError
+        If the table is larger than the limits.
+    """
+    limits.check(table.num_rows, table.num_columns, name)
+    numbers: dict[str, FloatArray] = {}
+    texts: dict[str, TextArray] = {}
+    said, broken = dict(units or {}), {}
+    for column, values in zip(table.column_names, table.columns, strict=True):
+        found, unit, unread = _numbers(values)
+        if found is not None:
+            numbers[column] = found
+            broken[column] = unread
+            if unit:
+                said[column] = unit
+        elif (words := _texts(values, limits)) is not None:
+            texts[column] = words
+    return Stream(title, numbers, texts, None, said, {key: count for key, count in broken.items() if count})
+
+
+def _numbers(values: Any) -> tuple[FloatArray | None, str, int]:
+    """(values or None, unit where the type says one, number of cells that are no numbers)."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    kind = values.type
+    if pa.types.is_dictionary(kind):
+        values, kind = values.cast(kind.value_type), kind.value_type
+    if pa.types.is_null(kind):
+        return np.full(len(values), np.nan), "", 0
+    if pa.types.is_timestamp(kind) or pa.types.is_date(kind) or pa.types.is_time(kind):
+        second = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+        if pa.types.is_date(kind):
+            return _float(pc.cast(values, pa.timestamp("s")).cast(pa.int64())), DATE, 0
+        wide = pa.int32() if kind.bit_width == 32 else pa.int64()
+        return _float(values.cast(wide)) * second[kind.unit], DATE if pa.types.is_timestamp(kind) else CLOCK, 0
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
+        return _float(values), "", 0
+    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+        return None, "", 0
+    return _of_words(values)
+
+
+def _float(values: Any) -> FloatArray:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    found = pc.fill_null(pc.cast(values, pa.float64(), safe=False), float("nan"))
+    return np.asarray(found.to_numpy(), dtype=np.float64)
+
+
+def _of_words(values: Any) -> tuple[FloatArray | None, str, int]:
+    """Numbers, dates, times or degrees that are written as words."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    words = pc.utf8_trim_whitespace(pc.replace_substring(values, "\0", ""))
+    words = pc.if_else(pc.is_in(words, pa.array(_MARKS, words.type)), None, words)
+    known = len(words) - words.null_count
+    if known == 0:
+        return np.full(len(words), np.nan), "", 0
+    sample = words.drop_null().slice(0, 1000)
+    if _share(sample, _NUMBER) > _HALF:
+        parts = pc.extract_regex(words, _NUMBER)
+        units = [u for u in pc.unique(pc.struct_field(parts, "unit")).to_pylist() if u]
+        if len(units) <= 1:
+            numbers = _float(_plain(pc.struct_field(parts, "number")).cast(pa.float64()))
+            return numbers, units[0].strip() if units else "", known - int(np.isfinite(numbers).sum())
+    try:
+        seconds_of(sample.to_pylist()[:20])
+        different = pc.unique(words)
+        seconds, wrong = seconds_of(different.to_pylist(), lenient=True)
+    except ValueError:
+        degrees = None
+        if _share(sample, _DEGREES) > 1 - 1e-9:
+            degrees = _degrees(pc.extract_regex(words, _DEGREES))
+        return degrees, "deg", 0 if degrees is None else known - int(np.isfinite(degrees).sum())
+    if wrong > _HALF * len(different):
+        return None, "", 0
+    at = pc.index_in(words, different).to_numpy(zero_copy_only=False)
+    found = seconds[np.nan_to_num(at, nan=0).astype(np.int64)]
+    found[np.isnan(np.asarray(at, dtype=np.float64))] = np.nan
+    return found, DATE if np.nanmax(found) > 86_400.0 else CLOCK, known - int(np.isfinite(found).sum())
+
+
+def _share(words: Any, pattern: str) -> float:
+    import pyarrow.compute as pc
+
+    return float(pc.mean(pc.match_substring_regex(words, pattern).cast("double")).as_py() or 0.0)
+
+
+def _plain(words: Any) -> Any:
+    """Numbers with a point; blank is unknown."""
+    import pyarrow.compute as pc
+
+    found = pc.replace_substring(words, ",", ".")
+    return pc.if_else(pc.equal(found, ""), None, found)
+
+
+def _degrees(parts: Any) -> FloatArray | None:
+    """Degrees of `36 08.09412`, `-4°06'40.0"` or `36 08.1 N`; None where minutes are none."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    def _part(key: str) -> FloatArray:
+        return _float(_plain(pc.struct_field(parts, key)).cast(pa.float64()))
+
+    d, m, s = _part("d"), _part("m"), np.nan_to_num(_part("s"))
+    if np.nanmax(np.maximum(m, s)) >= 60.0:
+        return None
+    west = pc.is_in(pc.utf8_upper(pc.struct_field(parts, "side")), pa.array(["S", "W"]))
+    minus = pc.or_(pc.equal(pc.struct_field(parts, "minus"), "-"), west)
+    sign = np.where(np.asarray(pc.fill_null(minus, False).to_numpy(zero_copy_only=False), dtype=bool), -1.0, 1.0)
+    return np.asarray(sign * (d + m / 60.0 + s / 3600.0))
+
+
+def _texts(values: Any, limits: TableLimits) -> TextArray | None:
+    """Texts, "" for null; None where they are no texts, or take more memory than the limit."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    kind = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
+    if pa.types.is_boolean(kind):
+        values, kind = values.cast(pa.string()), pa.string()
+    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+        return None
+    encoded = pa.chunked_array(values).combine_chunks() if not isinstance(values, pa.ChunkedArray) else values
+    encoded = encoded if pa.types.is_dictionary(values.type) else encoded.dictionary_encode()
+    encoded = encoded.unify_dictionaries().combine_chunks() if isinstance(encoded, pa.ChunkedArray) else encoded
+    if isinstance(encoded, pa.ChunkedArray):  # without rows
+        return np.empty(0, dtype=np.str_)
+    longest = pc.max(pc.utf8_length(encoded.dictionary)).as_py() or 0
+    if longest * 4 * max(len(encoded), len(encoded.dictionary)) > limits.text_mb * 1e6:
+        return None
+    words = np.array([*encoded.dictionary.to_pylist(), ""], dtype=np.str_)
+    words[[word is None for word in [*encoded.dictionary.to_pylist(), ""]]] = ""
+    at = np.asarray(pc.fill_null(encoded.indices, len(words) - 1).to_numpy(zero_copy_only=False), dtype=np.int64)
+    return words[at]

@@ -1,0 +1,197 @@
+"""Logs in JSON: a line for each record, or a document with a list of records or of columns somewhere inside."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.formats.columns import stream_of
+from joulemap.model.runs.formats.contract import Log, content_of
+from joulemap.model.runs.table import LEAST_ROWS, TableLimits
+from joulemap.model.source_file import SourceFile
+
+_DEEPEST = 12
+_LONGEST_LIST = 16  # a longer list in a record is no reading
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by the first character.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Not used.
+
+    Returns
+    -------
+    bool
+        True for an object or a list.
+    """
+    return head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] in (b"{", b"[")
+
+
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read the records.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The file.
+    mapping : mapping of str to str
+        Not used: all fields are read. One inside another has a name with a point, such as `gps.lat`.
+    limits : TableLimits
+        How large it may be.
+    repairs : dict
+        Counts by rule, which are added to.
+
+    Returns
+    -------
+    Log
+        Of one stream.
+
+    Raises
+    ------
+    RunsError
+        If it is broken, or holds no records.
+    TooLargeError
+        If it is larger than the limits.
+    """
+    name = source.name
+    content = content_of(source).removeprefix(b"\xef\xbb\xbf")
+    try:
+        found = _records(content, name, repairs)
+        return Log((stream_of(columns_of(found, name, limits), name, limits),))
+    except (ValueError, RecursionError) as error:
+        raise RunsError(f"run {name}: not a readable JSON text: {str(error)[:200]}", run=name) from error
+
+
+def columns_of(records: Iterable[Mapping[str, Any]], name: str, limits: TableLimits) -> Any:
+    """Return records as a table.
+
+    Parameters
+    ----------
+    records : iterable of mapping
+        By name of the field a number or a text.
+    name : str
+        Of the run, for messages.
+    limits : TableLimits
+        How large it may be.
+
+    Returns
+    -------
+    pyarrow.Table
+        A field that a record lacks is null there.
+
+    Raises
+    ------
+    TooLargeError
+        If it is larger than the limits.
+    """
+    import pyarrow as pa
+
+    columns: dict[str, list[Any]] = {}
+    rows = 0
+    for record in records:
+        for key, value in record.items():
+            column = columns.get(key)
+            if column is None:
+                limits.check(rows, len(columns) + 1, name)
+                column = columns[key] = [None] * rows
+            column.append(value)
+        rows += 1
+        if rows % 1000 == 0:
+            limits.check(rows, len(columns), name)
+        for column in columns.values():
+            if len(column) < rows:
+                column.append(None)
+    return pa.table({key: _array(values) for key, values in columns.items()})
+
+
+def _array(values: list[Any]) -> Any:
+    import pyarrow as pa
+
+    if all(value is None or (isinstance(value, int | float) and not isinstance(value, bool)) for value in values):
+        return pa.array([None if value is None else float(value) for value in values], pa.float64())
+    return pa.array([None if value is None else str(value) for value in values], pa.string())
+
+
+def _records(content: bytes, name: str, repairs: dict[str, int]) -> Iterable[Mapping[str, Any]]:
+    first = content.lstrip()[:1]
+    lines = content.split(b"\n") if first == b"{" else []
+    if len(lines) > 1 and _whole(lines[0]):
+        return _lines(lines, repairs)
+    document = json.loads(content)
+    best = max(_tables(document, 0), key=len, default=[])
+    if len(best) < LEAST_ROWS:
+        raise RunsError(f"run {name}: the JSON text holds no list of {LEAST_ROWS} records or more", run=name)
+    return (_flat(record) for record in best)
+
+
+def _whole(line: bytes) -> bool:
+    try:
+        return isinstance(json.loads(line), dict)
+    except ValueError:
+        return False
+
+
+def _lines(lines: list[bytes], repairs: dict[str, int]) -> Iterator[dict[str, Any]]:
+    filled = [line for line in lines if line.strip()]
+    for number, line in enumerate(filled):
+        try:
+            yield _flat(json.loads(line))
+        except ValueError:
+            if number < len(filled) - 1:
+                raise
+            repairs["truncated_rows"] = 1
+
+
+def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
+    """Lists of records: of objects, of objects in objects by number, or lists of equal length side by side."""
+    if depth > _DEEPEST:
+        return
+    if isinstance(value, list):
+        if len(value) >= LEAST_ROWS and all(isinstance(item, dict) for item in value):
+            yield value
+        elif len(value) >= LEAST_ROWS and all(isinstance(item, list) for item in value):
+            header = value[0]
+            if all(isinstance(word, str) for word in header):  # a table with its header
+                yield [dict(zip(header, row, strict=False)) for row in value[1:]]
+        for item in value[:LEAST_ROWS]:
+            yield from _tables(item, depth + 1)
+    elif isinstance(value, dict):
+        lists = {key: item for key, item in value.items() if isinstance(item, list) and len(item) >= LEAST_ROWS}
+        lengths = {len(item) for item in lists.values()}
+        plain = [key for key, item in lists.items() if not isinstance(item[0], dict | list)]
+        if len(plain) > 1 and len(lengths) == 1:
+            yield [dict(zip(plain, row, strict=True)) for row in zip(*(lists[key] for key in plain), strict=True)]
+        elif len(value) >= LEAST_ROWS and all(isinstance(item, dict) and item for item in value.values()):
+            yield [{"key": key} | item for key, item in value.items()]
+        for item in value.values():
+            yield from _tables(item, depth + 1)
+
+
+def _flat(value: Any, front: str = "", depth: int = 0) -> dict[str, Any]:
+    """Numbers and texts by their path; coordinates in the order of GeoJSON."""
+    if isinstance(value, list):
+        if len(value) > _LONGEST_LIST or depth > _DEEPEST:
+            return {}
+        names = ("lon", "lat", "alt") if front == "coordinates" or front.endswith(".coordinates") else ()
+        items = [(names[k] if k < len(names) else str(k), item) for k, item in enumerate(value)]
+    elif isinstance(value, dict):
+        if depth > _DEEPEST:
+            return {}
+        items = [(str(key), item) for key, item in value.items()]
+    else:
+        return {front: value}
+    found: dict[str, Any] = {}
+    for key, item in items:
+        path = f"{front}.{key}" if front else key
+        if isinstance(item, dict | list):
+            found |= _flat(item, path, depth + 1)
+        else:
+            found[path] = item
+    return found

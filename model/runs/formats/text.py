@@ -1,0 +1,271 @@
+"""Logs as text: CSV of any shape, read by pyarrow. What is found out here is where the table begins, and how it is cut.
+
+Of lines before the header, comments and remarks are passed over. The separator is the one of which the lines have most:
+the comma, the semicolon, the tab, the bar, or spaces. A second line of the header may hold units.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Mapping
+
+from joulemap.model.errors import RunsError, TooLargeError
+from joulemap.model.runs.formats.columns import named, stream_of
+from joulemap.model.runs.formats.contract import Log, content_of
+from joulemap.model.runs.table import TableLimits, add_count
+from joulemap.model.source_file import SourceFile
+
+_SEPARATORS = (",", ";", "\t", "|")
+_BEFORE_HEADER = re.compile(rb"(?:(?:[#%][^\n]*+)?+\n++)*+")  # comments and empty lines, millions too
+_OTHER_ENCODING = "cp1252"  # what spreadsheets write in Western Europe and America
+_LONGEST_HEADER = 1_000_000  # bytes of the line with the names
+_SAMPLE_LINES, _SAMPLE_BYTES = 40, 1 << 18
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+_NUMBER = re.compile(r"^[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
+_BLOCK_BYTES = 1 << 22
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Take any file: what is no text is refused as it is read.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Its name.
+
+    Returns
+    -------
+    bool
+        True.
+    """
+    return True
+
+
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read a table from a text.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The text.
+    mapping : mapping of str to str
+        Not used: all columns are read.
+    limits : TableLimits
+        How large it may be.
+    repairs : dict
+        Counts by rule, which are added to: a last line that breaks off is dropped, other lines are made as long as the
+        header.
+
+    Returns
+    -------
+    Log
+        Of one stream.
+
+    Raises
+    ------
+    RunsError
+        If it is no table.
+    TooLargeError
+        If it is larger than the limits.
+    """
+    import pyarrow as pa
+    from pyarrow import csv as arrow
+
+    name = source.name
+    content = _utf8(content_of(source), name)
+    separator, header, units, start = _header(content, name)
+    if separator == " ":
+        content, start, separator = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+", b"", content[start:])), 0, "\t"
+    limits.check(content.count(b"\n", start) + (not content.endswith(b"\n")), len(header), name)
+    quoted = content.find(b'"', start) >= 0
+    body = content[start:] if start else content
+    if quoted:
+        body = _closed(body, len(header), name, repairs)
+    again = re.compile(rb"(?m)^" + re.escape(separator.join(header).encode()) + rb" *\n")
+    if header and again.search(body):  # two logs were joined
+        body = again.sub(b"", body)
+    columns = named(header)
+    options = {
+        "read_options": arrow.ReadOptions(column_names=columns, block_size=_BLOCK_BYTES),
+        "parse_options": arrow.ParseOptions(
+            delimiter=separator, quote_char='"' if quoted else False, newlines_in_values=quoted
+        ),
+        "convert_options": arrow.ConvertOptions(null_values=["", "NA", "N/A", "n/a", "nan", "NaN", "null", "NULL"]),
+    }
+    if not body.strip():
+        body = b"," * 0
+    try:
+        table = _read(body, options) if body else None
+    except pa.ArrowInvalid as error:
+        if "olumns, got" not in str(error):
+            raise RunsError(f"run {name}: not a readable CSV file: {str(error)[:200]}", run=name) from error
+        body = _even(body, separator, len(columns), quoted, name, repairs)
+        try:
+            table = _read(body, options)
+        except pa.ArrowInvalid as again_error:
+            raise RunsError(f"run {name}: not a readable CSV file: {str(again_error)[:200]}", run=name) from again_error
+    if table is None:
+        raise RunsError(f"run {name}: 0 rows are too few, at least 5 are needed", run=name)
+    return Log((stream_of(table, name, limits, dict(zip(columns, units, strict=False))),))
+
+
+def _read(body: bytes, options: Mapping[str, object]) -> object:
+    import pyarrow as pa
+    from pyarrow import csv as arrow
+
+    return arrow.read_csv(pa.BufferReader(body), **options)
+
+
+def _utf8(content: bytes, name: str) -> bytes:
+    """The text in UTF-8 with line feeds only."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        try:
+            content = content.decode("utf-16").encode()
+        except UnicodeError as error:
+            raise _no_text(name, error) from error
+    try:
+        if not content.isascii():
+            content.decode("utf-8")  # as fast as copying, and says where
+    except UnicodeDecodeError as error:
+        if _CONTROL.search(content):
+            raise _no_text(name, error) from error
+        try:
+            content = content.decode(_OTHER_ENCODING).encode()
+        except UnicodeError:
+            content = content.decode("latin-1").encode()
+    if b"\r" in content:
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return content.removeprefix(_BYTE_ORDER_MARK)
+
+
+def _no_text(name: str, error: Exception) -> RunsError:
+    from joulemap.model.runs.formats import formats_in_words
+
+    return RunsError(
+        f"run {name} is neither a text in CSV (UTF-8) nor another log that is read ({formats_in_words()}): {error}",
+        run=name,
+    )
+
+
+def _header(content: bytes, name: str) -> tuple[str, list[str], list[str], int]:
+    """(separator, names, units, where the rows begin [bytes])."""
+    start = _BEFORE_HEADER.match(content).end()  # type: ignore[union-attr]
+    first = content[start : _line_end(content, start)]
+    if len(first) > _LONGEST_HEADER:
+        raise TooLargeError(
+            f"run {name}: its first line has {len(first):,} bytes, the limit is {_LONGEST_HEADER:,}",
+            run=name,
+            found=len(first),
+            limit=_LONGEST_HEADER,
+        )
+    lines, at = [], start
+    while len(lines) < _SAMPLE_LINES and at < len(content) and at - start < _SAMPLE_BYTES + len(first):
+        end = _line_end(content, at)
+        lines.append((content[at:end].decode("utf-8", "replace"), end + 1))
+        at = end + 1
+    if not lines:
+        raise RunsError(f"run {name}: the file is empty", run=name)
+    if any("\0" in line for line, _ in lines[:1]):
+        raise RunsError(
+            f"run {name}: its first line has NUL characters, so it is no text in UTF-8: save it in that encoding",
+            run=name,
+        )
+    separator, usual = _separator([line for line, _ in lines])
+    rows = [(_cells(line, separator), after) for line, after in lines]
+    number = next(k for k, (cells, _) in enumerate(rows) if 2 * len(cells) >= usual and any(cells))
+    header, after = rows[number]
+    if len(header) > 2 and all(map(_NUMBER.match, filter(None, header))):
+        said = content[:start].decode("utf-8", "replace").splitlines()
+        comment = _cells(said[-1].lstrip("#% "), separator) if said else []
+        if len(comment) != len(header):
+            raise RunsError(
+                f"run {name}: its first line is {', '.join(header)[:80]!r}: write a line with the names of the columns "
+                "above it",
+                run=name,
+            )
+        return separator, comment, [], start
+    units: list[str] = []
+    if number + 2 < len(rows):
+        second, third = rows[number + 1][0], rows[number + 2][0]
+        numbers = [bool(_NUMBER.match(cell)) for cell in third]
+        if sum(numbers) >= 2 and not any(_NUMBER.match(cell) for cell in second) and any(second):
+            units, after = [cell.strip("[]() ") for cell in second], rows[number + 1][1]
+    return separator, header, units, min(after, len(content))
+
+
+def _line_end(content: bytes, start: int) -> int:
+    end = content.find(b"\n", start)
+    return end if end >= 0 else len(content)
+
+
+def _separator(lines: list[str]) -> tuple[str, int]:
+    """The mark between cells, and how many cells most lines have."""
+    widths = {}
+    for mark in _SEPARATORS:
+        counts = Counter(line.count(mark) + 1 for line in lines if line)
+        widths[mark] = max(counts.items(), key=lambda found: (found[1] * (found[0] > 1), found[0]))[0] if counts else 1
+    best = max(_SEPARATORS, key=lambda mark: (lines[0].count(mark) > 0 or widths[mark] > 2, widths[mark]))
+    if ";" in lines[0] and widths[";"] > 1 and best == ",":  # the commas are those of numbers
+        best = ";" if widths[";"] >= lines[0].count(",") + 1 else best
+    if widths[best] < 2 and len(lines[0].split()) > 2:
+        return " ", len(lines[0].split())
+    return best, widths[best]
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return line.split()
+    try:
+        cells = next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:
+        cells = line.split(separator)
+    return [cell.strip() for cell in cells]
+
+
+def _closed(body: bytes, width: int, name: str, repairs: dict[str, int]) -> bytes:
+    """The rows without a last one whose quote is not closed. Raises RunsError if further lines are in the quote."""
+    if body.count(b'"') % 2 == 0:
+        return body
+    lines = body.rstrip(b"\n").split(b"\n")
+    row = max(k for k, line in enumerate(lines) if line.count(b'"') % 2)
+    if row < len(lines) - 1:
+        raise RunsError(
+            f"run {name}, row {row + 2}: a quote is opened there and never closed: the {len(lines) - 1 - row:,} lines "
+            "after it cannot be read",
+            run=name,
+            row=row + 2,
+        )
+    add_count(repairs, "truncated_rows", 1)
+    return b"\n".join(lines[:-1])
+
+
+def _even(body: bytes, separator: str, width: int, quoted: bool, name: str, repairs: dict[str, int]) -> bytes:
+    """Rows as long as the header: a last one that breaks off is dropped, others are cut or filled with blanks."""
+    text = body.decode("utf-8")
+    if quoted:
+        rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=separator) if row]
+    else:
+        rows = [line.split(separator) for line in text.split("\n") if line]
+    if rows and len(rows[-1]) < width:
+        rows.pop()
+        add_count(repairs, "truncated_rows", 1)
+    longer = sum(len(row) > width and any(row[width:]) for row in rows)
+    if 2 * longer > len(rows):
+        raise RunsError(
+            f"run {name}, row 2: {len(rows[0])} cells where the header has {width} columns, as in most rows: if its "
+            "commas are decimal marks, save it with semicolons between the cells",
+            run=name,
+            row=2,
+        )
+    add_count(repairs, "ragged_rows", sum(len(row) != width for row in rows))
+    out = io.StringIO()
+    csv.writer(out, delimiter=separator, lineterminator="\n").writerows(
+        row[:width] + [""] * (width - len(row)) for row in rows
+    )
+    return out.getvalue().encode()

@@ -1,0 +1,90 @@
+"""Marks of unknown values: the largest and smallest numbers of a type, which loggers write where nothing was measured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.table import FloatArray, add_count
+
+_WHOLE = [
+    *(float(2**bits - less) for bits in (16, 24, 32, 64) for less in (1, 2)),
+    *(sign * float(2**bits - less) for bits in (15, 31, 63) for less in (1, 0) for sign in (1, -1)),
+    *(sign * float(10**digits - less) for digits in (4, 5, 6) for less in (1,) for sign in (1, -1)),
+    1e9, 1e10, 1e20, 1e30, 3.4028235e38,
+]  # fmt: skip
+MARKS = np.unique([value * 10.0**-places for value in _WHOLE for places in (0, 1, 2, 3)] + [-999.0])
+"""Of whole numbers of 16 to 64 bits, also with up to three decimal places; of numbers filled with nines; of floats."""
+_SHORT = np.array([255.0, 254.0, 127.0, -128.0, -1.0])
+"""Of 8 bits. They are readings too, so they count only beside whole numbers that are all far from them."""
+_NO_SIGN = ("speed", "distance", "energy", "charge", "soc", "gps_error")
+_APART = 0.5  # of the mark: other values are no larger than this share of it
+
+
+def without_marks(values: FloatArray, target: str, column: str, name: str, repairs: dict[str, int]) -> FloatArray:
+    """Return values of which those that are marks are unknown.
+
+    Parameters
+    ----------
+    values : ndarray of float, (n,)
+        As logged.
+    target : str
+        Joulemap's column, for the count.
+    column : str
+        The log's, for messages.
+    name : str
+        Of the run.
+    repairs : dict
+        Counts by rule, which are added to.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        NaN where there is no reading.
+
+    Raises
+    ------
+    RunsError
+        If all are marks.
+
+    Notes
+    -----
+    A value is a mark if it is one of `MARKS` and all readings are less than half as large: a reading that happens to be
+    such a number has others beside it.
+    """
+    if target in ("t", "x", "y"):
+        return values
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return values
+    unknown = np.zeros(values.size, dtype=bool)
+    at = np.clip(np.searchsorted(MARKS, known), 1, MARKS.size - 1)
+    near = np.minimum(np.abs(known - MARKS[at]), np.abs(known - MARKS[at - 1])) <= 1e-7 * np.abs(known)
+    candidates = set(np.unique(known[near & (known != 0)]).tolist())
+    whole = bool((known == np.round(known)).all())
+    candidates |= {v for v in _SHORT.tolist() if whole and v in known and (v != -1.0 or target in _NO_SIGN)}
+    if not candidates:
+        return values
+    rest = np.abs(known[~np.isin(known, list(candidates))])
+    largest = float(rest.max()) if rest.size else 0.0
+    for mark in sorted(candidates, key=abs, reverse=True):
+        short = mark in _SHORT
+        if mark == -1.0:
+            apart = bool(rest.size) and bool((known[known != -1.0] >= 0).all())
+        else:
+            apart = largest <= _APART * abs(mark) and not (short and (not rest.size or np.sum(known == mark) < 3))
+        if apart:
+            unknown |= values == mark
+        elif mark > 0:
+            largest = max(largest, mark)
+    if unknown.any() and not np.isfinite(values[~unknown]).any():
+        mark = float(known[0])
+        raise RunsError(
+            f"run {name}, column {column[:80]!r}: {target} is {mark:g} in every row, the mark of an unknown value: it "
+            "was not recorded",
+            run=name,
+            column=column[:80],
+            value=mark,
+        )
+    add_count(repairs, f"marks_{target}", int(unknown.sum()))
+    return np.where(unknown, np.nan, values)

@@ -1,0 +1,260 @@
+"""What the name of a logged column says: the quantity, the unit, and which battery, motor or side it belongs to.
+
+A name is divided into words. Its last word that names a quantity says what the column is (`battery_current`,
+`current_speed`); the others say of what. Words of a part of the vehicle that is no battery (`motor`, `heater`, `phase`)
+and of values that are not measured (`target`, `max`) rule a column out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+from joulemap.model.runs.units import known_unit, unit_in_name
+
+
+def _set(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+_WORDS: dict[str, frozenset[str]] = {
+    "t": _set(
+        "t time timestamp datetime date stamp clock elapsed seconds secs sec s ms millis milliseconds us micros "
+        "microseconds ns nanoseconds uptime epoch unix utc"
+    ),
+    "x": _set("x easting utmx"),
+    "y": _set("y northing utmy"),
+    "z": _set("z altitude alt elevation elev elv ele height"),
+    "lat": _set("lat latitude"),
+    "lon": _set("lon lng long longitude"),
+    "voltage": _set("voltage voltages volts volt u v vbat vbatt vin vbus"),
+    "current": _set("current curr cur amps amp amperes amperage i ibat ibatt iin ibus"),
+    "power": _set("power watts watt pwr w p pbat"),
+    "energy": _set("energy enrg consumed used consumption drawn discharged wh kwh joules"),
+    "charge": _set("charge consumed used consumption drawn discharged ah mah coulombs"),
+    "soc": _set("soc percent percentage level charge remaining battery bat batt"),
+    "distance": _set("distance dist odometer odo mileage trip travelled"),
+    "speed": _set("speed velocity vel spd"),
+    "heading": _set("heading yaw course bearing cog hdg"),
+}
+"""By joulemap's column, the words that name it."""
+
+_OTHER_QUANTITIES = _set(
+    "temperature temp rpm erpm torque throttle cadence acceleration accel acc gyro mag pressure humidity duty resistance "
+    "capacity slope frequency freq count id index status state mode error fault flag health cycles efficiency rate pwm "
+    "steering pedal brake angle orientation twist angular rotation gear satellites sats hdop signal quality"
+)
+"""Words of quantities that a run does not need; as the last word of a name they say that it is no other."""
+
+_ABOUT = _set(
+    "gps gnss rtk fix pos pose position odom odometry utm local map world state battery batt bat pack main total tot sum "
+    "setup overall all input in bus dc hv supply system sys sensor measured actual value data inverter vehicle car robot "
+    "base mcu esc vesc of the and today abs log logged header since start device obd traction ground location loc geo "
+    "coordinates point track enhanced is true"
+)
+"""Words that do not change what a column is."""
+
+_NEVER = _set(
+    "min max minimum maximum target set setpoint ref reference limit cmd command commanded desired request requested "
+    "wanted goal home origin waypoint wp dest destination std cov covariance variance accuracy raw delta avg average "
+    "mean peak predicted estimate remaining to empty full per rated nominal"
+)
+_ELECTRIC = _set(
+    "motor phase cell cells heater heating heat ac aircon air conditioning aux auxiliary 12 12v lv charger charging regen "
+    "regenerated regenerative brake braking solar pv fan pump servo usb led iq q d axis human rider crank mechanical mech "
+    "factor feedforward led light lights wheel gen generator fuel"
+)
+_NOT: dict[str, frozenset[str]] = {
+    **dict.fromkeys(("voltage", "current", "power"), _NEVER | _ELECTRIC),
+    **dict.fromkeys(("energy", "charge"), _NEVER | _ELECTRIC | _set("charged recovered capacity available recuperated")),
+    "soc": (_NEVER - _set("remaining")) | _ELECTRIC | _set("health soh displayed"),
+    "speed": _NEVER | _set("wind motor rotor fan angular rotation engine shaft turn wheel crank"),
+    "distance": _NEVER | _set("sensor left range obstacle front rear"),
+    "t": _NEVER | _set("remaining charge charging moving stopped left"),
+}
+SIDES: Mapping[str, str] = {
+    "left": "left", "l": "left", "right": "right", "r": "right", "fl": "fl", "fr": "fr", "rl": "rl", "rr": "rr",
+    "front": "front", "rear": "rear", "back": "rear",
+}  # fmt: skip
+"""Words for a part of the vehicle."""
+_TOTAL = _set("total tot sum setup overall all")
+_BATTERY = _set("battery batt bat pack")
+_VOCABULARY = frozenset().union(*_WORDS.values(), _OTHER_QUANTITIES, _ABOUT, _NEVER, _ELECTRIC, SIDES)
+_QUANTITY_WORDS = frozenset().union(*_WORDS.values(), _OTHER_QUANTITIES)
+
+NAMED, LIKELY, POSSIBLE = 3, 2, 1
+"""How surely a name says what a column is: by nothing but words for it, with words about it, with unknown words."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A column that may be one of joulemap's.
+
+    Attributes
+    ----------
+    column : str
+        Its name in the log.
+    unit : str
+        As `units.known_unit` returns it; empty where the name says none.
+    sureness : int
+        `NAMED`, `LIKELY` or `POSSIBLE`.
+    total : bool
+        Whether the name says that it is a sum.
+    instance : str
+        Number or side that the name has; empty without.
+    """
+
+    column: str
+    unit: str
+    sureness: int
+    total: bool = False
+    instance: str = ""
+
+
+def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
+    """Return what the name of a column says of it.
+
+    Parameters
+    ----------
+    target : str
+        Joulemap's column that it may be.
+    column : str
+        Its name.
+    unit : str, optional
+        That the file says apart from the name.
+
+    Returns
+    -------
+    Candidate or None
+        None where it is another quantity, of another part, or in a unit of another quantity.
+    """
+    stem, in_name = unit_in_name(target, column)
+    said = known_unit(target, unit) if unit else None
+    if unit and said is None and target not in ("t", "lat", "lon"):
+        return None
+    words = _words(stem)
+    if not _WORDS[target] & {*words}:  # `Pack Amps`
+        words = _words(column)
+    bracket = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$", column)
+    if bracket is not None and in_name is None and not unit and _is_unit(bracket[1]):
+        return None  # a unit of another quantity
+    heads = [word for word in words if word in _QUANTITY_WORDS and len(word) > 1]
+    own = _WORDS[target]
+    if not heads:  # a single letter is a name only beside words that do not change it
+        letters = [word for word in words if word in own]
+        if not letters or any(word not in own | _ABOUT and not word.isdigit() for word in words):
+            return None
+    elif heads[-1] not in own and not (target == "t" and heads[0] in own and in_name is None and heads[-1] in _ABOUT):
+        return None
+    if any(word in _NOT.get(target, _NEVER) for word in words):
+        return None
+    if target in ("energy", "charge") and not (in_name or said):
+        return None
+    if target == "soc" and not (in_name == "%" or said or {"soc", "percent", "percentage", "level"} & {*words}):
+        return None
+    if target == "t" and in_name is None:
+        in_name = next((u for word in words if (u := known_unit("t", word)) and word not in ("s", "h", "d")), None)
+    rest = [word for word in words if word not in own]
+    instance = next((SIDES.get(word, word) for word in rest if word.isdigit() or word in SIDES), "")
+    unknown = [word for word in rest if word not in _ABOUT and not word.isdigit() and word not in SIDES]
+    if (unknown and target in ("x", "y")) or (instance in SIDES.values() and not _BATTERY & {*words}):
+        return None
+    sureness = POSSIBLE if unknown else LIKELY if rest else NAMED
+    return Candidate(column, said or in_name or "", sureness, bool(_TOTAL & {*words}), instance)
+
+
+def ruled_out(target: str, column: str) -> bool:
+    """Return whether the name says another quantity, another part of the vehicle, or a value that is not measured.
+
+    Parameters
+    ----------
+    target : str
+        Joulemap's column.
+    column : str
+        The name.
+
+    Returns
+    -------
+    bool
+        False of a name without a known word.
+    """
+    words = _words(unit_in_name(target, column)[0])
+    others = (_QUANTITY_WORDS - _WORDS[target]) | _NOT.get(target, _NEVER)
+    return any(len(word) > 1 and word in others for word in words)
+
+
+def motor_current(column: str) -> Candidate | None:
+    """Return the current of a motor or of a side, as its name says; None for any other.
+
+    Parameters
+    ----------
+    column : str
+        Its name.
+
+    Returns
+    -------
+    Candidate or None
+        With the side or the number as its instance.
+    """
+    return _of_side("current", column, _set("motor drive wheel"))
+
+
+def wheel_speed(column: str) -> Candidate | None:
+    """Return the speed of a side, as its name says; None for any other.
+
+    Parameters
+    ----------
+    column : str
+        Its name.
+
+    Returns
+    -------
+    Candidate or None
+        With `left` or `right` as its instance.
+    """
+    found = _of_side("speed", column, _set("wheel track"))
+    return found if found is not None and found.instance in ("left", "right") else None
+
+
+def _of_side(target: str, column: str, about: frozenset[str]) -> Candidate | None:
+    stem, unit = unit_in_name(target, column)
+    words = _words(stem)
+    rest = [word for word in words if word not in _WORDS[target]]
+    instance = next((SIDES.get(word, word) for word in rest if word in SIDES or word.isdigit()), "")
+    allowed = _ABOUT | about | {*SIDES}
+    if len(rest) == len(words) or not instance or any(w not in allowed and not w.isdigit() for w in rest):
+        return None
+    return Candidate(column, unit or "", LIKELY, False, instance)
+
+
+def _is_unit(word: str) -> bool:
+    return any(known_unit(target, word) is not None for target in ("t", "x", "lat", "temperature", "payload", *_WORDS))
+
+
+@lru_cache(maxsize=20_000)
+def _words(name: str) -> list[str]:
+    found: list[str] = []
+    for part in re.findall(r"[^\W_]+", name):
+        if part.lower() in _VOCABULARY:
+            found.append(part.lower())
+            continue
+        for piece in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\dA-Za-z]+", part):
+            found += _divided(piece.lower())
+    return found
+
+
+def _divided(word: str) -> list[str]:
+    """`battvolt` as batt, volt; a word that is not all known words stays whole."""
+    if word in _VOCABULARY or len(word) > 40:
+        return [word]
+    best: list[list[str] | None] = [[], *([None] * len(word))]
+    for end in range(2, len(word) + 1):
+        for begin in range(end - 1):
+            before = best[begin]
+            if before is not None and word[begin:end] in _VOCABULARY:
+                now = best[end]
+                if now is None or len(before) + 1 < len(now):
+                    best[end] = [*before, word[begin:end]]
+    return best[-1] or [word]
