@@ -80,7 +80,6 @@ def read_log(
     rows = max((len(values) for values in (*table.numbers.values(), *table.texts.values())), default=0)
     if rows < LEAST_ROWS:
         raise RunsError(f"run {name}: {rows} rows are too few, at least {LEAST_ROWS} are needed", run=name)
-    table.numbers = usable(table.numbers, name)
     return table
 
 
@@ -160,7 +159,7 @@ def _mapped(log: Log, mapping: Mapping[str, str], name: str, limits: TableLimits
         if target in reading and target not in mapping:
             reading[target] += f" (or {', '.join(places)})"
     limits.check(len(t), len(numbers), name)
-    return Table(numbers, {}, reading, confidence=dict.fromkeys(reading, 0.99))
+    return Table(usable(numbers), {}, reading, confidence=dict.fromkeys(reading, 0.99))
 
 
 def _value(

@@ -58,27 +58,13 @@ def without_marks(values: FloatArray, target: str, column: str, name: str, repai
     if not known.size:
         return values
     unknown = np.zeros(values.size, dtype=bool)
-    at = np.clip(np.searchsorted(MARKS, known), 1, MARKS.size - 1)
-    near = np.minimum(np.abs(known - MARKS[at]), np.abs(known - MARKS[at - 1])) <= 1e-7 * np.abs(known)
-    candidates = set(np.unique(known[near & (known != 0)]).tolist())
-    whole = bool((known == np.round(known)).all())
-    candidates |= {v for v in _SHORT.tolist() if whole and v in known and (v != -1.0 or target in _NO_SIGN)}
-    if not candidates:
-        return values
-    rest = np.abs(known[~np.isin(known, list(candidates))])
-    largest = float(rest.max()) if rest.size else 0.0
-    for mark in sorted(candidates, key=abs, reverse=True):
-        short = mark in _SHORT
-        if mark == -1.0:
-            apart = bool(rest.size) and bool((known[known != -1.0] >= 0).all())
-        else:
-            apart = largest <= _APART * abs(mark) and not (short and (not rest.size or np.sum(known == mark) < 3))
-        if apart:
-            unknown |= values == mark
-        elif mark > 0:
-            largest = max(largest, mark)
+    size = np.abs(known)
+    while size.size and (found := _mark(known, size, target)) is not None:
+        unknown |= values == found
+        known = known[known != found]
+        size = np.abs(known)
     if unknown.any() and not np.isfinite(values[~unknown]).any():
-        mark = float(known[0])
+        mark = float(values[unknown][0])
         raise RunsError(
             f"run {name}, column {column[:80]!r}: {target} is {mark:g} in every row, the mark of an unknown value: it "
             "was not recorded",
@@ -88,3 +74,20 @@ def without_marks(values: FloatArray, target: str, column: str, name: str, repai
         )
     add_count(repairs, f"marks_{target}", int(unknown.sum()))
     return np.where(unknown, np.nan, values)
+
+
+def _mark(known: FloatArray, size: FloatArray, target: str) -> float | None:
+    """The largest value, or -1, if it is a mark beside these values."""
+    if target in _NO_SIGN and (low := float(known.min())) == -1.0 and (known > 0).any():
+        return low
+    value = float(known[int(np.argmax(size))])
+    near = bool(np.min(np.abs(MARKS - value)) <= 1e-7 * abs(value))
+    short = value in _SHORT and value != -1.0
+    if not (near or short):
+        return None
+    rest = known[known != value]
+    if rest.size and float(np.abs(rest).max()) > _APART * abs(value):
+        return None
+    if short and (not rest.size or known.size - rest.size < 3 or (known != np.round(known)).any()):
+        return None
+    return value

@@ -130,6 +130,7 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
     Candidate or None
         None where it is another quantity, of another part, or in a unit of another quantity.
     """
+    column_of_two, column = column, re.sub(r" \(\d+\)$", "", column)
     stem, in_name = unit_in_name(target, column)
     said = known_unit(target, unit) if unit else None
     if unit and said is None and target not in ("t", "lat", "lon"):
@@ -162,7 +163,7 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
     if (unknown and target in ("x", "y")) or (instance in SIDES.values() and not _BATTERY & {*words}):
         return None
     sureness = POSSIBLE if unknown else LIKELY if rest else NAMED
-    return Candidate(column, said or in_name or "", sureness, bool(_TOTAL & {*words}), instance)
+    return Candidate(column_of_two, said or in_name or "", sureness, bool(_TOTAL & {*words}), instance)
 
 
 def ruled_out(target: str, column: str) -> bool:
@@ -237,11 +238,12 @@ def _is_unit(word: str) -> bool:
 def _words(name: str) -> list[str]:
     found: list[str] = []
     for part in re.findall(r"[^\W_]+", name):
-        if part.lower() in _VOCABULARY:
-            found.append(part.lower())
+        pieces = [piece.lower() for piece in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\dA-Za-z]+", part)]
+        if part.lower() in _VOCABULARY and not all(piece in _VOCABULARY for piece in pieces):
+            found.append(part.lower())  # SoC; but curR is the right one
             continue
-        for piece in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\dA-Za-z]+", part):
-            found += _divided(piece.lower())
+        for piece in pieces:
+            found += _divided(piece)
     return found
 
 

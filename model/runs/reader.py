@@ -307,9 +307,18 @@ def run_of(
         As `read_run`.
     """
     repairs = {} if repairs is None else repairs
+    if "t" in texts:
+        row = next((k for k, cell in enumerate(texts["t"].tolist()) if cell.strip()), 0)
+        raise RunsError(
+            f"run {name}, column 't', row {row + 2}: {str(texts['t'][row])[:80]!r} is not a number, and no time such as "
+            "2024-05-01T12:00:00.25",
+            run=name,
+            column="t",
+            row=row + 2,
+        )
     if "t" not in numbers:
         raise RunsError(
-            f"run {name}: there is no column 't' (seconds){columns_there([*numbers, *texts])}; a mapping says which it is, like "
+            f"run {name}: there is no column 't' (seconds){columns_there(numbers)}; a mapping says which it is, like "
             "t=timestamp_ms:ms",
             run=name,
             column="t",

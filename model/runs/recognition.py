@@ -24,6 +24,7 @@ CONFIDENCE = {NAMED: 0.99, LIKELY: 0.95, POSSIBLE: 0.7, 0: 0.6}
 _MAY_BE_CONSTANT = ("voltage", "z", "soc", "t")
 _BY_UNIT = {"t": ("s", "ms"), "voltage": ("V", "mV"), "current": ("A", "mA"), "speed": ("km/h", "m/s", "mph")}
 _EXAMPLE = {"current": "A", "voltage": "V", "power": "W", "t": "s", "speed": "km/h"}
+_MOTOR_A = ("current_a",)  # beside `current_b` it is no unit
 _AGREE = 0.2  # of power with voltage times current, in the median
 
 
@@ -135,10 +136,10 @@ def _candidates(target: str, stream: Stream, taken: Collection[str]) -> list[Can
             found.append(Candidate(column, unit, each.sureness if each is not None else 0))
         elif (each := candidate(target, column, unit)) is not None:
             found.append(each)
-    speaking = [each for each in found if _speaks(target, stream.numbers[each.column])] or found
+    speaking = [each for each in found if each.unit == DATE or _speaks(target, stream.numbers[each.column])] or found
     if target == "t" and any(each.sureness for each in speaking):
         speaking = [each for each in speaking if each.sureness]
-    own = [each for each in speaking if each.column == target]
+    own = [each for each in speaking if each.column == target or each.column.startswith(f"{target} (")]  # or it twice
     return own or sorted(speaking, key=lambda each: (-each.sureness, -each.total))
 
 
@@ -223,7 +224,7 @@ def _choose_speeds(stream: Stream, mapping: Mapping[str, str], found: Recognised
     sides = {side.instance: side for column in stream.numbers if (side := wheel_speed(column)) is not None}
     for side in ("left", "right"):
         target = f"speed_{side}"
-        if len(sides) == 2 and target not in mapping and target not in stream.numbers:
+        if side in sides and target not in mapping and target not in stream.numbers:
             _take(target, [sides[side]], found)
     placed = {"x", "y"} <= found.chosen.keys() or {"lat", "lon"} <= found.chosen.keys()
     if "speed" not in found.chosen:
@@ -238,8 +239,10 @@ def _choose_electric(stream: Stream, mapping: Mapping[str, str], found: Recognis
         for key in ("voltage", "current", "power")
     }
     parts = [column for column in numbers if column.startswith("current_") or column in ("left_current", "right_current")]
-    if len(parts) > 1 and (not of["current"] or of["current"][0].sureness < LIKELY):
-        of["current"] = []
+    if len(parts) > 1:
+        of["current"] = [
+            each for each in of["current"] if each.sureness >= LIKELY and each.column.lower() not in _MOTOR_A
+        ]
     if not replaced("current", mapping) and not of["current"]:
         _take_motors(stream, taken, found)
     tied = {key: _first(each, numbers) for key, each in of.items()}

@@ -21,7 +21,7 @@ from joulemap.model.runs.units import UNITS, conversion, own_unit
 
 _PAUSE_PERIODS, _PAUSE_S = 5.0, 2.0  # no interpolation over more than five usual steps, and 2 s at least
 _SPARSE = 0.5  # a column that is known in fewer rows is a series of its own
-_AGREE = 0.2
+_AGREE, _ANOTHER = 0.2, 0.5  # a power differs from voltage times current by less, and one of another part by more
 _FAST_KMPH = 70.0  # a speed that is above this number is no m/s of a vehicle on the ground
 
 
@@ -79,6 +79,9 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
     """
     found = recognised(stream, mapping, name)
     chosen = found.chosen
+    for target, question in found.questions.items():
+        if target in stream.numbers and target in ("t", "x", "y", "lat", "lon"):  # it is there twice
+            raise RunsError(f"run {name}: {question}", run=name, column=target)
     used = {column for source in chosen.values() for column in source.columns}
     used |= {column for pack in found.packs for source in pack for column in source.columns}
     numbers: dict[str, FloatArray] = {}
@@ -125,6 +128,9 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
         numbers[CAPACITY] = np.full(numbers["t"].size, float(chosen[CAPACITY].unit))
     _take_distance(numbers, reading, found, name)
     numbers |= {column: values for column, values in rest.items() if column not in numbers}
+    for key in ("power", "current"):
+        if key in stream.texts and not {"power", "current", "soc"} & numbers.keys():
+            numbers_of(stream, key, name)  # says what stands there
     texts |= {key: v for key, v in stream_texts.items() if key not in used | texts.keys() | numbers.keys()}
     without_null_island(numbers)
     for target, source in chosen.items():
@@ -233,6 +239,8 @@ def _take_speed(
             else:
                 found.questions["speed"] = f"is {column[:60]} in km/h or m/s? Say it with a mapping: speed={column[:60]}:km/h"
                 return
+        if not unit and source.columns != ["speed"]:  # of which joulemap's own is in m/s
+            return
     words["speed"] = unit if not source.unit else ""
     numbers["speed"] = logged * (UNITS["speed"].get(unit) or conversion("speed", unit or "m/s"))[0]
 
@@ -325,10 +333,13 @@ def _check_power(
         if best not in ("", "W"):
             reading["power"] = _words("power", chosen["power"], best)
         return
-    column = chosen["power"].columns[0]
+    column, kept = chosen["power"].columns[0], off[best] <= _ANOTHER
     found.notes.append(
-        f"{column[:60]} is not voltage times current (they differ by {off[best]:.0%} in the median): it is not used"
+        f"{column[:60]} is not voltage times current, they differ by {off[best]:.0%} in the median: it is "
+        f"{'taken for the power of the battery' if kept else 'not used'}"
     )
+    if kept:
+        return
     other = numbers.pop("power")
     numbers[column if column != "power" else "power (not of the battery)"] = other
     reading.pop("power", None)
@@ -377,9 +388,9 @@ def _take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], foun
         numbers["distance"] = summed(numbers["t"], speed)
         reading["distance"] = f"the sum of {reading.get('speed', 'speed [m/s]')}"
     elif "distance" not in numbers:
-        question = found.questions.get("distance") or found.questions.get("speed") or found.questions.get("lat")
-        if question:
-            raise RunsError(f"run {name}: {question}", run=name, column="x")
+        for key in ("lat", "lon", "x", "y", "distance", "speed"):
+            if key in found.questions:
+                raise RunsError(f"run {name}: {found.questions[key]}", run=name, column=key)
 
 
 def at_stamps(t: FloatArray, stamps: FloatArray, values: FloatArray, *, turning: bool) -> FloatArray:

@@ -89,21 +89,21 @@ def test_streams_without_a_common_time_are_refused(drive, tmp_path):
         collector.add("/fix", 100.0 + 0.1 * k, {"latitude": 36.7, "longitude": -4.4})
     kinds = {"/battery": "sensor_msgs/BatteryState", "/fix": "sensor_msgs/NavSatFix"}
     with pytest.raises(RunsError, match="not logged at the same time"):
-        _mapped(ros_log(collector.streams(), kinds), {}, "r", LIMITS)
+        _mapped(ros_log(collector.streams(), kinds), {}, "r", LIMITS, {})
     del kinds["/battery"]
     with pytest.raises(RunsError, match=r"no message with a current or a power was found \(in /battery, /fix\)"):
-        _mapped(ros_log(collector.streams(), kinds), {}, "r", LIMITS)
+        _mapped(ros_log(collector.streams(), kinds), {}, "r", LIMITS, {})
 
 
 def test_a_pause_of_a_topic_is_a_gap_and_not_a_straight_line():
-    from joulemap.model.runs.logs import _at
+    from joulemap.model.runs.table_columns import at_stamps
 
     t = np.arange(0.0, 20.0, 0.5)
     stamps = np.concatenate([np.arange(0.0, 5.1, 0.1), np.arange(12.0, 20.0, 0.1)])
-    found = _at(t, stamps, stamps, turning=False)
+    found = at_stamps(t, stamps, stamps, turning=False)
     assert np.isnan(found[(t > 5.01) & (t < 11.99)]).all()
     np.testing.assert_allclose(found[t <= 5.0], t[t <= 5.0])
-    turned = _at(np.array([0.5]), np.array([0.0, 1.0]), np.array([350.0, 20.0]), turning=True)
+    turned = at_stamps(np.array([0.5]), np.array([0.0, 1.0]), np.array([350.0, 20.0]), turning=True)
     np.testing.assert_allclose(turned, [5.0])
 
 

@@ -269,12 +269,15 @@ def test_single_fixes_that_do_not_exist_are_not_used():
         (b"t,x,y,current\n", "0 rows are too few"),
         (b"t,x,y,current\n" + b"1,2,3,4\n", "1 rows are too few"),
         (b"t,x,y,current\n" + b"nan,nan,nan,nan\n" * 9, "only 0 rows have a time"),
-        (b"t,x,y,current,x\n" + b"1,2,3,4,5\n" * 9, "column 'x' appears twice"),
-        (b"t," + b"x" * 301 + b"\n" + b"1,2\n" * 9, "a name of 301 characters, the limit is 300"),
+        (
+            "\n".join(["t,x,y,current,x", *(f"{k},{k},3,4,{5 * k}" for k in range(9))]).encode(),
+            r"which of x, x \(2\) is its x\? Say it with a mapping, such as x=x",
+        ),
+        (b"t," + b"x" * 301 + b"\n" + b"1,2\n" * 9, "neither a column 'current'"),
         (bytes(range(256)) * 4, "neither a text in CSV"),
         (b"\x00" * 40, "NUL characters"),
-        (text(log(x=["1e308", "-1e308"] * 30)).encode(), r"column 'x', row 2: 1e\+308 is larger than 1e\+30"),
-        (text(log(current=["9"] * 59 + ["1e200"])).encode(), r"column 'current', row 61: 1e\+200 is larger"),
+        (text(log(x=["1e308", "-1e308"] * 30)).encode(), "no usable position"),
+        (text(log(current=["9"] * 20 + ["1e200"] * 40)).encode(), "40 of 60 cells are blank"),
         (text(log(t=[f"{-k}" for k in range(60)])).encode(), "the clock was set back"),
         (text(log(t=["noon"] * 60)).encode(), "column 't', row 2: 'noon' is not a number"),
         (b"PAR1" + b"x" * 60, "not a readable Parquet file"),
@@ -301,8 +304,7 @@ def test_stamps_before_zero_are_stamps_and_other_columns_may_hold_anything():
         (log(x=None), "there is a position 'y' and no 'x'; its other columns"),
         (log(x=None, y=None), "neither 'x' and 'y' nor 'lat' and 'lon'"),
         (log(current=None), "neither a column 'current', nor any 'current_"),
-        (log(current=["2.0"] * 7 + ["two"] + ["2.0"] * 52), "column 'current', row 9: 'two' is not a number"),
-        (log(current=["A"] + ["2.0"] * 59), "row 2: 'A' is not a number: if this row holds the units of the columns"),
+        (log(current=["two"] * 60), "column 'current', row 2: 'two' is not a number"),
         (log(current=[""] * 60), "60 of 60 cells are blank"),
         (log(n=3), "3 rows are too few"),
         (log(x=[""] * 60), "no usable position"),
@@ -323,11 +325,9 @@ def test_quoted_cells_and_empty_lines():
 
 def test_broken_tables_are_refused(tmp_path):
     lines = text(log()).splitlines()
-    lines[3] += ",9"
-    with pytest.raises(RunsError, match="row 4: 6 cells where the header has 5"):
-        parse_run("\n".join(lines), name="r")
-    with pytest.raises(RunsError, match="appears twice"):
-        parse_run("t,x,x\n1,2,3", name="r")
+    wide = [lines[0], *(line.replace(".", ",") for line in lines[1:])]
+    with pytest.raises(RunsError, match="row 2: 10 cells where the header has 5 columns, as in most rows: if its commas"):
+        parse_run("\n".join(wide), name="r")
     with pytest.raises(RunsError, match="empty"):
         parse_run("", name="r")
     with pytest.raises(RunsError, match=r"nothing\.csv"):

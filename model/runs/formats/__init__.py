@@ -5,7 +5,7 @@ from __future__ import annotations
 from joulemap.model.runs.formats.contract import LogFormat
 
 FORMATS = [
-    LogFormat("Parquet file", (".parquet",), "..parquet_table", "parquet"),
+    LogFormat("Parquet file", (".parquet",), ".parquet"),
     LogFormat("MCAP recording", (".mcap",), ".mcap_recording", "logs"),
     LogFormat("ROS 1 bag", (".bag",), ".ros1_bag", "logs"),
     LogFormat("ROS 2 bag (SQLite)", (".db3",), ".ros2_sqlite", "logs"),
@@ -18,7 +18,7 @@ FORMATS = [
     LogFormat("track in XML", (".gpx", ".tcx"), ".xml_track"),
     LogFormat("CSV text", (".csv", ".tsv", ".txt"), ".text"),
 ]
-"""All formats that are read, in the order in which they are tried. A module name with dots in front lies here."""
+"""All formats that are read, in the order in which they are tried. A module name with a dot in front lies here."""
 
 
 def formats_in_words() -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from joulemap.model.errors import RunsError
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.instants import seconds_of
-from joulemap.model.runs.table import LONGEST_NAME, FloatArray, TableLimits, TextArray
+from joulemap.model.runs.table import LARGEST, LONGEST_NAME, FloatArray, TableLimits, TextArray
 
 DATE, CLOCK = "date and time", "time of day"
 """Units of columns of seconds since 1970, and since midnight."""
@@ -87,7 +87,7 @@ def stream_of(
     for column, values in zip(table.column_names, table.columns, strict=True):
         found, unit, unread = _numbers(values)
         if found is not None:
-            numbers[column] = found
+            numbers[column] = np.where(np.abs(found) <= LARGEST, found, np.nan)
             broken[column] = unread
             if unit:
                 said[column] = unit
@@ -103,7 +103,7 @@ def _numbers(values: Any) -> tuple[FloatArray | None, str, int]:
 
     kind = values.type
     if pa.types.is_dictionary(kind):
-        values, kind = values.cast(kind.value_type), kind.value_type
+        return _of_categories(values)
     if pa.types.is_null(kind):
         return np.full(len(values), np.nan), "", 0
     if pa.types.is_timestamp(kind) or pa.types.is_date(kind) or pa.types.is_time(kind):
@@ -117,6 +117,21 @@ def _numbers(values: Any) -> tuple[FloatArray | None, str, int]:
     if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
         return None, "", 0
     return _of_words(values)
+
+
+def _of_categories(values: Any) -> tuple[FloatArray | None, str, int]:
+    """As `_numbers`, of the dictionary: a long text in it may stand in every row."""
+    import pyarrow.compute as pc
+
+    whole = values.unify_dictionaries().combine_chunks()
+    if not hasattr(whole, "dictionary"):
+        return np.empty(0), "", 0
+    found, unit, _ = _numbers(whole.dictionary)
+    if found is None:
+        return None, unit, 0
+    at = np.asarray(pc.fill_null(whole.indices, len(found)).to_numpy(zero_copy_only=False), dtype=np.int64)
+    spread = np.append(found, np.nan)[at]
+    return spread, unit, int(np.sum(~np.isfinite(spread))) - whole.null_count
 
 
 def _float(values: Any) -> FloatArray:
@@ -145,7 +160,9 @@ def _of_words(values: Any) -> tuple[FloatArray | None, str, int]:
             numbers = _float(_plain(pc.struct_field(parts, "number")).cast(pa.float64()))
             return numbers, units[0].strip() if units else "", known - int(np.isfinite(numbers).sum())
     try:
-        seconds_of(sample.to_pylist()[:20])
+        first = sample.to_pylist()[:20]
+        if seconds_of(first, lenient=True)[1] > _HALF * len(first):
+            raise ValueError
         different = pc.unique(words)
         seconds, wrong = seconds_of(different.to_pylist(), lenient=True)
     except ValueError:
@@ -202,15 +219,13 @@ def _texts(values: Any, limits: TableLimits) -> TextArray | None:
         values, kind = values.cast(pa.string()), pa.string()
     if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
         return None
-    encoded = pa.chunked_array(values).combine_chunks() if not isinstance(values, pa.ChunkedArray) else values
-    encoded = encoded if pa.types.is_dictionary(values.type) else encoded.dictionary_encode()
-    encoded = encoded.unify_dictionaries().combine_chunks() if isinstance(encoded, pa.ChunkedArray) else encoded
-    if isinstance(encoded, pa.ChunkedArray):  # without rows
+    encoded = values if pa.types.is_dictionary(values.type) else values.dictionary_encode()
+    encoded = encoded.unify_dictionaries().combine_chunks()
+    if not hasattr(encoded, "dictionary"):  # without rows
         return np.empty(0, dtype=np.str_)
     longest = pc.max(pc.utf8_length(encoded.dictionary)).as_py() or 0
     if longest * 4 * max(len(encoded), len(encoded.dictionary)) > limits.text_mb * 1e6:
         return None
-    words = np.array([*encoded.dictionary.to_pylist(), ""], dtype=np.str_)
-    words[[word is None for word in [*encoded.dictionary.to_pylist(), ""]]] = ""
+    words = np.array([*("" if word is None else word for word in encoded.dictionary.to_pylist()), ""], dtype=np.str_)
     at = np.asarray(pc.fill_null(encoded.indices, len(words) - 1).to_numpy(zero_copy_only=False), dtype=np.int64)
     return words[at]

@@ -79,17 +79,14 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
 
     name = source.name
     content = _utf8(content_of(source), name)
-    separator, header, units, start = _header(content, name)
+    separator, header, units, line, start = _header(content, name)
     if separator == " ":
-        content, start, separator = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+", b"", content[start:])), 0, "\t"
+        content, start, line, separator = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+", b"", content[start:])), 0, b"", "\t"
     limits.check(content.count(b"\n", start) + (not content.endswith(b"\n")), len(header), name)
     quoted = content.find(b'"', start) >= 0
-    body = content[start:] if start else content
+    body = _without_headers(memoryview(content)[start:], line)
     if quoted:
-        body = _closed(body, len(header), name, repairs)
-    again = re.compile(rb"(?m)^" + re.escape(separator.join(header).encode()) + rb" *\n")
-    if header and again.search(body):  # two logs were joined
-        body = again.sub(b"", body)
+        body = _closed(bytes(body), name, repairs)
     columns = named(header)
     options = {
         "read_options": arrow.ReadOptions(column_names=columns, block_size=_BLOCK_BYTES),
@@ -98,14 +95,12 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         ),
         "convert_options": arrow.ConvertOptions(null_values=["", "NA", "N/A", "n/a", "nan", "NaN", "null", "NULL"]),
     }
-    if not body.strip():
-        body = b"," * 0
     try:
-        table = _read(body, options) if body else None
+        table = _read(body, options) if len(body) and not bytes(body[:100]).isspace() else None
     except pa.ArrowInvalid as error:
         if "olumns, got" not in str(error):
             raise RunsError(f"run {name}: not a readable CSV file: {str(error)[:200]}", run=name) from error
-        body = _even(body, separator, len(columns), quoted, name, repairs)
+        body = _even(bytes(body), separator, len(columns), quoted, name, repairs)
         try:
             table = _read(body, options)
         except pa.ArrowInvalid as again_error:
@@ -115,7 +110,15 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     return Log((stream_of(table, name, limits, dict(zip(columns, units, strict=False))),))
 
 
-def _read(body: bytes, options: Mapping[str, object]) -> object:
+def _without_headers(body: memoryview, line: bytes) -> memoryview | bytes:
+    """The rows without further lines with the names, as where two logs were joined."""
+    whole = bytes(body)
+    if not line or whole.find(b"\n" + line) < 0:
+        return whole
+    return re.sub(rb"(?m)^" + re.escape(line) + rb" *\n", b"", whole)
+
+
+def _read(body: memoryview | bytes, options: Mapping[str, object]) -> object:
     import pyarrow as pa
     from pyarrow import csv as arrow
 
@@ -153,8 +156,8 @@ def _no_text(name: str, error: Exception) -> RunsError:
     )
 
 
-def _header(content: bytes, name: str) -> tuple[str, list[str], list[str], int]:
-    """(separator, names, units, where the rows begin [bytes])."""
+def _header(content: bytes, name: str) -> tuple[str, list[str], list[str], bytes, int]:
+    """(separator, names, units, the line with the names, where the rows begin [bytes])."""
     start = _BEFORE_HEADER.match(content).end()  # type: ignore[union-attr]
     first = content[start : _line_end(content, start)]
     if len(first) > _LONGEST_HEADER:
@@ -189,14 +192,14 @@ def _header(content: bytes, name: str) -> tuple[str, list[str], list[str], int]:
                 "above it",
                 run=name,
             )
-        return separator, comment, [], start
+        return separator, comment, [], b"", start
     units: list[str] = []
     if number + 2 < len(rows):
         second, third = rows[number + 1][0], rows[number + 2][0]
         numbers = [bool(_NUMBER.match(cell)) for cell in third]
         if sum(numbers) >= 2 and not any(_NUMBER.match(cell) for cell in second) and any(second):
             units, after = [cell.strip("[]() ") for cell in second], rows[number + 1][1]
-    return separator, header, units, min(after, len(content))
+    return separator, header, units, lines[number][0].encode().rstrip(), min(after, len(content))
 
 
 def _line_end(content: bytes, start: int) -> int:
@@ -228,7 +231,7 @@ def _cells(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _closed(body: bytes, width: int, name: str, repairs: dict[str, int]) -> bytes:
+def _closed(body: bytes, name: str, repairs: dict[str, int]) -> bytes:
     """The rows without a last one whose quote is not closed. Raises RunsError if further lines are in the quote."""
     if body.count(b'"') % 2 == 0:
         return body

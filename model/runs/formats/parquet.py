@@ -1,0 +1,153 @@
+"""Logs in Parquet, as if they were CSV: nulls are blank, times are seconds, categories are texts.
+
+A few kilobytes of Parquet can stand for terabytes: a long text in a dictionary that every row refers to. So texts stay
+in their dictionary until their size is known, and columns of lists or structures are not read.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from typing import Any
+
+from joulemap.model.errors import RunsError, TooLargeError
+from joulemap.model.runs.formats.columns import named, stream_of
+from joulemap.model.runs.formats.contract import Log, content_of
+from joulemap.model.runs.table import TableLimits
+from joulemap.model.source_file import SourceFile
+
+_MAGIC = b"PAR1"
+_BATCH_CELLS = 1_000_000
+_BATCH_TEXTS = 1_000  # where texts come in full, however long they are
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by the mark at the start of the file.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Not used.
+
+    Returns
+    -------
+    bool
+        True for a Parquet file.
+    """
+    return head.startswith(_MAGIC)
+
+
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read the table of a Parquet file.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The file.
+    mapping : mapping of str to str
+        Not used: all columns are read.
+    limits : TableLimits
+        How large it may be.
+    repairs : dict
+        Not used: nothing is repaired.
+
+    Returns
+    -------
+    Log
+        Of one stream.
+
+    Raises
+    ------
+    RunsError
+        If it cannot be read.
+    TooLargeError
+        If it is larger than the limits.
+    """
+    import pyarrow as pa
+
+    name = source.name
+    try:
+        return Log((stream_of(_read(content_of(source), name, limits), name, limits),))
+    except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
+        raise RunsError(f"run {name}: not a readable Parquet file: {str(error)[:300]}", run=name) from error
+
+
+def _read(content: bytes, name: str, limits: TableLimits) -> Any:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    about = pq.read_metadata(io.BytesIO(content))
+    limits.check(about.num_rows, about.num_columns, name)
+    schema = about.schema.to_arrow_schema()
+    plain = [k for k, field in enumerate(schema) if _is_plain(field.type)]
+    if len(plain) < len(schema) or len(set(schema.names)) < len(schema):
+        plain = [k for k in plain if schema.names.count(schema.names[k]) == 1]
+    columns = [schema.names[k] for k in plain]
+    _check_size(about, name, limits)
+    words = {schema.names[k] for k in plain if _is_text(schema.field(k).type)}
+    in_full = _without_dictionary(about) & words
+    file = pq.ParquetFile(io.BytesIO(content), read_dictionary=sorted(words - in_full), pre_buffer=False)
+    letters = dict.fromkeys(columns, 0)
+    size = max(1, (_BATCH_TEXTS if in_full else _BATCH_CELLS) // max(1, len(columns)))
+    batches, rows = [], 0
+    for batch in file.iter_batches(batch_size=size, use_threads=False, columns=columns):
+        batch.validate(full=True)  # Arrow takes places in a dictionary as they are written
+        for column, values in zip(batch.schema.names, batch.columns, strict=True):
+            longest = _longest(values)
+            letters[column] = max(letters[column], longest)
+            limits.check_texts(about.num_rows, sum(letters.values()), name, column)
+            limits.check_texts(len(getattr(values, "dictionary", ())), longest, name, column)
+        batches.append(batch)
+        rows += batch.num_rows
+        limits.check(rows, len(columns), name)
+    table = pa.Table.from_batches(batches) if batches else schema.empty_table().select(columns)
+    return table.rename_columns(named(table.column_names))
+
+
+def _is_text(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return pa.types.is_string(kind) or pa.types.is_large_string(kind)
+
+
+def _is_plain(kind: Any) -> bool:
+    """Whether it is a number, a time or a text."""
+    import pyarrow as pa
+
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return not (pa.types.is_nested(kind) or pa.types.is_binary(kind) or isinstance(kind, pa.BaseExtensionType))
+
+
+def _without_dictionary(about: Any) -> set[str]:
+    """The columns whose texts are written as changes of the text before, which Arrow reads in full only."""
+    chunks = (
+        about.row_group(k).column(j) for k in range(min(about.num_row_groups, 1)) for j in range(about.num_columns)
+    )
+    return {chunk.path_in_schema for chunk in chunks if "DELTA_BYTE_ARRAY" in chunk.encodings}
+
+
+def _check_size(about: Any, name: str, limits: TableLimits) -> None:
+    """Refuse a file whose parts take more memory than numbers and texts of the limits could."""
+    size = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
+    most = 16 * limits.cells + int(limits.text_mb * 1e6)
+    if size > most:
+        raise TooLargeError(
+            f"run {name} unpacks to {size / 1e6:,.0f} MB, the limit is {most / 1e6:,.0f} MB: split it, or leave "
+            "columns out",
+            run=name,
+            bytes=size,
+            limit=most,
+        )
+
+
+def _longest(column: Any) -> int:
+    """Letters of the longest text of a column; 0 where it holds no texts."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    words = column.dictionary if pa.types.is_dictionary(column.type) else column
+    if not (pa.types.is_string(words.type) or pa.types.is_large_string(words.type)):
+        return 0
+    return pc.max(pc.binary_length(words)).as_py() or 0  # bytes, of which a letter has at least one
