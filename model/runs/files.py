@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -41,6 +42,54 @@ def distinct_names(files: Sequence[Path]) -> list[str]:
             depth += 1
         names |= {path: "/".join(path.parts[-depth:]) for path in alike}
     return [names[path] for path in paths]
+
+
+def same_content(files: Sequence[Path]) -> dict[Path, Path]:
+    """Return which files are copies of others: one drive under several names is one run.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Folders are no copies.
+
+    Returns
+    -------
+    dict of Path to Path
+        By each copy, the first file with its content.
+    """
+    sizes = Counter(file.stat().st_size for file in files if file.is_file())
+    first: dict[bytes, Path] = {}
+    copies: dict[Path, Path] = {}
+    for file in files:
+        if file.is_file() and sizes[file.stat().st_size] > 1:
+            with file.open("rb") as stream:
+                content = hashlib.file_digest(stream, "blake2b").digest()
+            if content in first:
+                copies[file] = first[content]
+            first.setdefault(content, file)
+    return copies
+
+
+def copies_words(copies: Mapping[Path, Path]) -> list[str]:
+    """Return a sentence for each file that has copies.
+
+    Parameters
+    ----------
+    copies : mapping of Path to Path
+        As `same_content` returns them.
+
+    Returns
+    -------
+    list of str
+        With the names of the first and of its copies.
+    """
+    found: dict[Path, list[str]] = {}
+    for copy, first in copies.items():
+        found.setdefault(first, []).append(copy.name)
+    return [
+        f"{first.name} is there {len(names) + 1} times, also as {', '.join(names[:3])}: it is read once"
+        for first, names in found.items()
+    ]
 
 
 def read_alike(

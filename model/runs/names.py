@@ -151,8 +151,10 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
         return None
     if any(word in _NOT.get(target, _NEVER) for word in words):
         return None
-    if target in ("energy", "charge") and not (in_name or said):
-        return None
+    if target in ("energy", "charge"):
+        in_name = in_name or next((u for word in words if (u := known_unit(target, word))), None)  # watt_hours_used
+        if not (in_name or said):
+            return None
     if target == "soc" and not (in_name == "%" or said or {"soc", "percent", "percentage", "level"} & {*words}):
         return None
     if target == "t" and in_name is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,6 +42,12 @@ def import_logs(
         bool,
         typer.Option("--accept-implausible", help="Keep numbers that are hardly in the units that they are read in."),
     ] = False,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--picture", metavar="PNG", help="Draw the track of a log and the power along it; of several, name a folder."
+        ),
+    ] = None,
     memory: Annotated[float, typer.Option(min=100.0, metavar="MB", help="Memory that a log may take [MB].")] = 4000.0,
     overwrite: Overwrite = False,
     json_file: JsonFile = None,
@@ -68,7 +75,10 @@ def import_logs(
 
     output = Output(json_file)
     wanted = (read_mapping(mapping) if mapping is not None else {}) | read_mapping(entries)
-    files = find_run_files(logs, trial=False)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        files = find_run_files(logs, trial=False)
+    again = [str(each.message) for each in caught]
     stems = [_stem(name) for name in distinct_names(files)]
     if len(set(stems)) < len(stems):
         stems = [_stem(name).replace(".", "_") for name in distinct_names(files)]
@@ -89,10 +99,14 @@ def import_logs(
             odometry=Odometry(odometry) if odometry is not None else None,
             accept_implausible=accept_implausible,
             memory_mb=memory,
+            picture=picture is not None,
             report=report,
         )
     for one in found:
         _say(output, one)
+    output.warn(again)
+    if picture is not None:
+        _draw(output, picture, stems, found)
     if out is None:
         output.say(f"Nothing was written: --out FOLDER writes {runs_words(len(found))}")
     output.document({"runs": found})
@@ -102,19 +116,41 @@ def _say(output: Output, one: dict[str, Any]) -> None:
     from joulemap.model.runs.words import count_words
 
     unit = "J/m" if one["target"] == "energy_j" else "A s/m"
+    usual = "" if one["per_m"] is None else f" in {one['segments']} segments, median {one['per_m']:.4g} {unit}"
     output.say(f"{one['format']}" + (f" -> {one['out']}" if one["out"] else ""), head=one["name"])
     rows = {
         "rows": f"{one['rows']:,} in {duration_words(one['seconds'])}",
-        "driven": f"{one['metres']:.1f} m in {one['segments']} segments, median {one['per_m']:.4g} {unit}",
+        "driven": f"{one['metres']:.1f} m{usual}" + ("" if one["placed"] else ", by distance: it has no positions"),
     }
-    reading = dict(one["reading"])
-    if (kind := reading.pop("as", None)) is not None:
-        rows["read as"] = kind
-    rows |= {column: f"from {source}" for column, source in reading.items()}
+    if one["energy_j"] is not None:
+        rounded = f" (standard deviation {one['energy_std_j']:,.0f} J, by rounding)" if one["energy_std_j"] else ""
+        rows["energy"] = f"{one['energy_j']:,.0f} J{rounded}"
+    if one["unknown_seconds"]:
+        rows["not measured"] = f"{one['unknown_seconds']:.1f} s, interpolated"
+    sure = one["confidence"]
+    rows |= {
+        column: f"from {source}" + (f", {sure[column]:.0%} sure" if sure.get(column, 1.0) < 0.9 else "")
+        for column, source in one["reading"].items()
+    }
     if one["repairs"]:
         rows["repairs"] = count_words(one["repairs"])
     output.table(rows)
+    shown = one["first_rows"]
+    output.say("  ".join(f"{key:>12}" for key in shown))
+    for cells in zip(*shown.values(), strict=True):
+        output.say("  ".join(f"{'' if cell is None else f'{cell:.10g}':>12}" for cell in cells))
     output.warn(f"{one['name']}: {warning}" for warning in one["warnings"])
+
+
+def _draw(output: Output, picture: Path, stems: list[str], found: list[dict[str, Any]]) -> None:
+    from joulemap.service.run_picture import run_picture
+
+    if len(found) > 1:
+        picture.mkdir(parents=True, exist_ok=True)
+    for stem, one in zip(stems, found, strict=True):
+        place = picture / f"{stem}.png" if picture.is_dir() else picture
+        place.write_bytes(run_picture(one["name"], one.pop("track"), charge=one["target"] != "energy_j"))
+        output.say(f"Drawn: {place}")
 
 
 def _stem(name: str) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import anyio
 
 from joulemap.model.errors import InputError
+from joulemap.model.runs.files import same_content
 from joulemap.model.runs.odometry import Odometry
 from joulemap.service.intake.limits import RunLimits
 from joulemap.service.intake.readers import Readers
@@ -121,6 +122,10 @@ class SentFiles:
         NotFoundError
             If there is no such heightmap.
         """
+        copies = await anyio.to_thread.run_sync(same_content, [path for _, path in files])
+        called = dict((path, name) for name, path in files)
+        again = {called[first]: [called[copy] for copy in copies if copies[copy] == first] for first in copies.values()}
+        files = [(name, path) for name, path in files if path not in copies]
         names = _distinct([safe_name(name) for name, _ in files])
         ground = None
         if heightmap_id is not None:
@@ -138,6 +143,9 @@ class SentFiles:
                 await self.readers.read("run", path=str(path), name=name, out=str(out), **asked)
                 for name, (_, path), out in zip(names, files, made, strict=True)
             ]
+            for (name, _), one in zip(files, stats, strict=True):
+                if name in again:
+                    one["warnings"].append(f"it was sent again as {', '.join(again[name][:3])}: it is kept once")
             check_together(stats, ground)
             kept = [
                 (name, out if one.pop("written") else path)

@@ -29,6 +29,7 @@ def import_logs(
     odometry: Odometry | None = None,
     accept_implausible: bool = False,
     memory_mb: float = 4_000.0,
+    picture: bool = False,
     report: Callable[[float], None] = lambda share: None,
 ) -> list[dict[str, Any]]:
     """Read logs and write each as a CSV file that `--runs` takes.
@@ -47,6 +48,8 @@ def import_logs(
         Whether numbers are kept that are hardly in the units that they are read in.
     memory_mb : float, optional
         Memory that reading one log may take [1e6 bytes].
+    picture : bool, optional
+        Whether the answers have the track for a drawing, as `read_sent_run`.
     report : callable, optional
         Called with the share that is done, 0..1.
 
@@ -70,6 +73,7 @@ def import_logs(
         "accept_implausible": accept_implausible,
         "any_place": True,
         "always": True,
+        "picture": picture,
     }
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)

@@ -27,6 +27,9 @@ from joulemap.service.intake.limits import RunLimits
 from joulemap.service.intake.maps import Guard
 
 _PLAIN = "CSV text"  # the format in which logs are written
+_SHOWN = ("t", "x", "y", "lat", "lon", "z", "distance", "speed", "voltage", "current", "power", "soc")
+_ROWS_SHOWN = 5
+_POINTS_DRAWN = 2_000
 
 
 def check_together(runs: Sequence[Mapping[str, Any]], ground: Mapping[str, Any] | None) -> None:
@@ -45,6 +48,12 @@ def check_together(runs: Sequence[Mapping[str, Any]], ground: Mapping[str, Any] 
         If a run does not lie on the heightmap.
     """
     for run in runs:
+        if ground is not None and not run["placed"]:
+            raise RunsError(
+                f"run {run['name']} has a distance and no positions, so it lies on no heightmap: send it without "
+                "heightmap_id",
+                run=run["name"],
+            )
         if ground is not None and not _overlap(run["bounds"], ground["bounds"]):
             raise RunsError(
                 f"run {run['name']} was driven at {_box(run['bounds'])}, the heightmap is {_box(ground['bounds'])}: "
@@ -78,6 +87,7 @@ def read_sent_run(
     accept_implausible: bool = False,
     any_place: bool = False,
     always: bool = False,
+    picture: bool = False,
 ) -> dict[str, Any]:
     """Read one run, write it in joulemap's columns where it is in others, and return what it contains.
 
@@ -105,6 +115,8 @@ def read_sent_run(
         Whether positions in degrees may lie anywhere; without a `crs` they are then judged in their UTM zone.
     always : bool, optional
         Whether `out` is written of a log in joulemap's own columns too.
+    picture : bool, optional
+        Whether the answer has the ``track``: x, y [m] and what is drawn [W or A], for a drawing.
 
     Returns
     -------
@@ -146,6 +158,9 @@ def read_sent_run(
         found = _about(run, name, limits, how, accept_implausible)
         found |= {"format": table.format, "reading": table.reading, "written": False}
         found["confidence"] = table.confidence
+        found["first_rows"] = _first_rows(table)
+        if picture:
+            found["track"] = _track(run)
         found["warnings"] = [*table.notes, *found["warnings"]]
         if out is not None and (always or table.reading or table.format != _PLAIN):
             begun = Path(f"{out}.part")
@@ -156,6 +171,25 @@ def read_sent_run(
                 begun.unlink(missing_ok=True)
             found["written"] = True
         return found
+
+
+def _first_rows(table: Table) -> dict[str, list[float | None]]:
+    """What a run needs, as it was understood."""
+    parts = [key for key in table.numbers if key.startswith("current_")]
+    shown = [key for key in (*_SHOWN, *parts) if key in table.numbers]
+    return {
+        key: [None if not np.isfinite(v) else float(v) for v in table.numbers[key][:_ROWS_SHOWN].tolist()]
+        for key in shown
+    }
+
+
+def _track(run: Run) -> list[list[float | None]]:
+    known = np.flatnonzero(np.isfinite(run.x) & np.isfinite(run.y))
+    rows = known[:: max(1, known.size // _POINTS_DRAWN)]
+    drawn = np.full(len(run), np.nan) if run.whole_j is not None else run.drawn(charge=not run.has_energy)
+    z = run.extras.get("z", np.full(len(run), np.nan))
+    columns = (run.x[rows], run.y[rows], drawn[rows], z[rows])
+    return [[v if np.isfinite(v) else None for v in values.tolist()] for values in columns]
 
 
 def _table_limits(limits: RunLimits) -> TableLimits:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from joulemap.model.errors import NotFoundError
 from joulemap.model.recordings.split import is_split
+from joulemap.model.runs.files import copies_words, same_content
 from joulemap.model.runs.formats import suffixes
 from joulemap.model.runs.mapping import MappingLike, read_mapping
 from joulemap.model.runs.reader import Run
@@ -144,7 +145,7 @@ def find_run_files(
     Returns
     -------
     list of Path
-        In the order given, sorted within each pattern.
+        In the order given, sorted within each pattern; of files with one content the first.
 
     Raises
     ------
@@ -154,6 +155,11 @@ def find_run_files(
         If one of them is broken, or ends the process that reads it.
     TooLargeError
         If reading one of them takes more time or memory than the limits.
+
+    Warns
+    -----
+    UserWarning
+        If a file is a copy of another one.
     """
     if files is None:
         return []
@@ -174,6 +180,10 @@ def find_run_files(
                 f"{where} log: {', '.join(RUN_SUFFIXES)} (looked for from {Path.cwd()})", pattern=str(each)
             )
         found |= {path.resolve(): path for path in here if path.resolve() not in found}
+    copies = same_content(list(found.values()))
+    for words in copies_words(copies):
+        warnings.warn(words, stacklevel=2)
+    files_found = [path for path in found.values() if path not in copies]
     if trial:
-        refuse_deadly(list(found.values()), mapping=mapping)
-    return list(found.values())
+        refuse_deadly(files_found, mapping=mapping)
+    return files_found

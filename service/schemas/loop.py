@@ -57,7 +57,27 @@ class RunOut(ResponseModel):
     )
     metres: float | None = Field(default=None, description="length of all segments [m]", examples=[142.6])
     per_m: float | None = Field(
-        default=None, description="median of the energy [J/m] or charge [A s/m] of a metre", examples=[124.6]
+        default=None,
+        description="median of the energy [J/m] or charge [A s/m] of a metre; null where a state of charge is all there is",
+        examples=[124.6],
+    )
+    energy_j: float | None = Field(
+        default=None, description="energy of the whole run [J]; null where only charge is known", examples=[17770.0]
+    )
+    energy_std_j: float | None = Field(
+        default=None, description="its standard deviation where it is that of rounded readings [J]", examples=[0.0]
+    )
+    unknown_seconds: float = Field(
+        default=0.0, description="time in which what is drawn was not measured, and is interpolated [s]"
+    )
+    placed: bool = Field(default=True, description="whether the run has positions; false for a distance alone")
+    confidence: dict[str, float] = Field(
+        default={},
+        description="by column, how sure it is that it was recognised rightly, 0 to 1; 1 is what a mapping says",
+        examples=[{"t": 0.99, "current": 0.95}],
+    )
+    first_rows: dict[str, list[float | None]] = Field(
+        default={}, description="first rows as they were understood", examples=[{"t": [0.0, 0.5], "current": [2.1, 2.2]}]
     )
 
 

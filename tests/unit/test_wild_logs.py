@@ -1,0 +1,246 @@
+"""Logs in the shapes that people have: small cases of each kind, and the files of `shared/wild` with their answers."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.names import LIKELY, NAMED, candidate
+from joulemap.model.runs.reader import parse_run
+from joulemap.service.cli import app
+
+ROWS = 400
+T = 0.5 * np.arange(ROWS)
+X = 500_000 + np.cumsum(np.full(ROWS, 0.9))
+VOLTS = 25.0 + 0.1 * np.sin(T / 40)
+AMPS = 3.0 + np.sin(T / 15)
+JOULES = float(np.sum(0.5 * (VOLTS[1:] * AMPS[1:] + VOLTS[:-1] * AMPS[:-1]) * np.diff(T)))
+METRES = float(X[-1] - X[0])
+PLAIN = {"t": T, "x": X, "y": np.full(ROWS, 4e6), "voltage": VOLTS, "current": AMPS}
+
+
+def lines(columns, separator=",", digits=6):
+    def _cell(value):
+        return value if isinstance(value, str) else "" if np.isnan(value) else f"{value:.{digits}f}".rstrip("0")
+
+    return [separator.join(columns), *(separator.join(map(_cell, row)) for row in zip(*columns.values(), strict=True))]
+
+
+def read(columns, crs=None, mapping=None, **more):
+    return parse_run("\n".join(lines(columns, **more)) + "\n", name="r", crs=crs, mapping=mapping)
+
+
+def without(*names, **more):
+    return {key: values for key, values in PLAIN.items() if key not in names} | more
+
+
+def as_it_was(run, *, share=0.01):
+    assert run.energy()[0] == pytest.approx(JOULES, rel=share)
+    known = np.isfinite(run.x)
+    assert np.hypot(np.diff(run.x[known]), np.diff(run.y[known])).sum() == pytest.approx(METRES, rel=share)
+
+
+FAULTS = {
+    "a row of units": lambda text: [text[0], "s,m,m,V,A", *text[1:]],
+    "names twice": lambda text: [f"{text[0]},note,note", *(f"{line},a,b" for line in text[1:])],
+    "nameless columns": lambda text: [f"{line},," for line in text],
+    "longer rows": lambda text: [line + (",x" if k % 50 == 7 else "") for k, line in enumerate(text)],
+    "two logs joined": lambda text: [*text[:200], text[0], *text[200:]],
+    "remarks before the header": lambda text: ["Logger 1.2", "serial,AB12", *text],
+    "a header in a comment": lambda text: [f"# {text[0]}", *text[1:]],
+    "spaces between": lambda text: [line.replace(",", "  ") for line in text],
+    "bars between": lambda text: [line.replace(",", "|") for line in text],
+    "marks for what is missing": lambda text: [*text[:100], "N/A,null,NA,--,?", *text[100:]],
+    "units in the cells": lambda text: [text[0], *(line + " A" for line in text[1:])],
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_does_not_matter_refuses_no_file(fault):
+    as_it_was(parse_run("\n".join(FAULTS[fault](lines(PLAIN))) + "\n", name="r"))
+
+
+def test_topics_of_different_rates_are_series_of_their_own():
+    place, meter = np.arange(ROWS) % 2 == 0, np.arange(ROWS) % 5 == 1
+    columns = {key: np.where(meter if key in ("voltage", "current") else place, v, np.nan) for key, v in PLAIN.items()}
+    as_it_was(read(columns | {"t": T}), share=0.02)
+
+
+def test_numbers_that_mark_what_is_unknown_are_no_readings():
+    power = np.where(np.arange(ROWS) % 9 == 0, 65535.0, VOLTS * AMPS)
+    run = read(without("voltage", "current", power=power))
+    assert run.repairs["marks_power"] == 45
+    as_it_was(run)
+    wrapped = np.where((T > 50) & (T < 60), 327.67, AMPS)
+    run = read(without("current", current=wrapped))
+    assert run.unknown_s == pytest.approx(9.5)
+    as_it_was(run, share=0.02)
+    with pytest.raises(RunsError, match="power is 65535 in every row, the mark of an unknown value"):
+        read(without("voltage", "current", power=np.full(ROWS, 65535.0)))
+    read(without("current", current=np.where(T < 100, 255.0, 250.0)))  # readings beside it: no mark
+
+
+def test_counters_give_power_across_their_new_beginnings():
+    energy = np.concatenate([[0.0], np.cumsum(0.5 * (VOLTS * AMPS)[1:] + 0.5 * (VOLTS * AMPS)[:-1])]) * 0.5 / 3600
+    anew = energy - np.where(np.arange(ROWS) >= 250, energy[250], 0.0)
+    as_it_was(read(without("voltage", "current", energy_Wh=anew)))
+    charge = np.concatenate([[0.0], np.cumsum(0.5 * AMPS[1:] + 0.5 * AMPS[:-1])]) * 0.5 / 3.6
+    as_it_was(read(without("current", used_mAh=charge)))
+    as_it_was(read(without("voltage", "current", **{"Watt hours used": energy, "Watt hours charged": 0 * energy})))
+
+
+def test_a_state_of_charge_gives_the_energy_of_a_drive_once_the_capacity_is_told():
+    soc = 80.0 - np.round(200.0 * np.linspace(0, 0.1, ROWS)) / 2
+    columns = without("voltage", "current", battery_percent=soc)
+    with pytest.raises(RunsError, match="say what the battery holds with a mapping, such as capacity_wh=500"):
+        read(columns)
+    run = read(columns, mapping={"capacity_wh": "100"})
+    energy, spread = run.energy()
+    assert energy == pytest.approx(0.1 * 100 * 3600)
+    assert spread == pytest.approx(0.5 * 3600 / np.sqrt(6))  # half a percent of 100 Wh at both ends, evenly distributed
+    with pytest.raises(RunsError, match="the energy of the whole drive, and not that of a metre"):
+        run.drawn()
+
+
+def test_powers_of_batteries_in_parallel_add():
+    two = {"bat1_voltage": VOLTS, "bat1_current": 0.6 * AMPS, "bat2_voltage": VOLTS - 0.1}
+    as_it_was(read(without("voltage", "current", **two, bat2_current=0.4 * AMPS * VOLTS / (VOLTS - 0.1))))
+
+
+def test_units_that_no_name_says_are_found_by_agreement():
+    speed = np.full(ROWS, 0.9 / 0.5)
+    run = read(PLAIN | {"speed": 3.6 * speed, "Power": 1e-3 * VOLTS * AMPS})
+    assert run.extras["speed"][5] == pytest.approx(1.8)
+    as_it_was(run)
+    as_it_was(read(without("t", t=np.round(1000 * T))))  # in ms by the way
+    as_it_was(read(without("t", timestamp=45_745.5 + T / 86_400), digits=10))  # of a spreadsheet
+    yaw = read(PLAIN | {"yaw": 0.001 * np.sin(T)})  # to the east, anticlockwise from east
+    np.testing.assert_allclose(yaw.extras["heading"], 90.0, atol=0.1)
+
+
+def test_drives_without_positions_have_the_distance_of_their_speed():
+    run = read(without("x", "y", **{"Velocity [km/h]": np.full(ROWS, 6.48)}))
+    assert not run.placed
+    as_it_was(run)
+    as_it_was(read(without("x", "y", trip_km=(X - X[0]) / 1000)))
+    with pytest.raises(RunsError, match="is Speed in km/h or m/s\\? Say it with a mapping: speed=Speed:km/h"):
+        read(without("x", "y", Speed=np.full(ROWS, 6.48)))
+
+
+def test_two_columns_that_may_be_one_are_asked_for_and_the_product_decides_otherwise():
+    both = without("current", pack_current=AMPS, battery_current=2 * AMPS)
+    with pytest.raises(RunsError, match="which of pack_current, battery_current is its current\\? Say it with a mapping"):
+        read(both)
+    as_it_was(read(both, mapping={"current": "pack_current"}))
+    as_it_was(read(both | {"power": VOLTS * AMPS}))
+
+
+def test_degrees_and_minutes_are_read_as_text_and_as_numbers():
+    lat = 36.1349 + 8.1e-6 * np.arange(ROWS)
+    minutes = (lat - 36) * 60
+    forms = {
+        "text": [f"36 {m:08.5f}" for m in minutes],
+        "marks": [f"36°{m:08.5f}'N" for m in minutes],
+        "NMEA": 3600 + minutes,
+        "e7": np.round(lat * 1e7),
+    }
+    for form in forms.values():
+        run = read(without("x", "y", lat=form, lon=np.full(ROWS, -4.1)), crs="EPSG:32630", digits=7)
+        assert np.ptp(run.y) == pytest.approx(ROWS * 8.1e-6 * 110_955, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["lines", "records", "columns", "rows"])
+def test_json_of_any_shape(kind):
+    records = [
+        {"time": t, "pos": {"x": x, "y": 4e6}, "battery": {"voltage": v, "current": i}}
+        for t, x, v, i in zip(T.tolist(), X.tolist(), VOLTS.tolist(), AMPS.tolist(), strict=True)
+    ]
+    plain = {key: values.tolist() for key, values in PLAIN.items()}
+    text = {
+        "lines": "\n".join(map(json.dumps, records)),
+        "records": json.dumps({"about": {"name": "n"}, "data": {"points": records}}, indent=1),
+        "columns": json.dumps({"log": plain}),
+        "rows": json.dumps([list(plain), *map(list, zip(*plain.values(), strict=True))]),
+    }[kind]
+    as_it_was(parse_run(text, name="r.json"))
+
+
+@pytest.mark.parametrize(
+    ("target", "column", "sureness"),
+    [
+        ("voltage", "Battery Voltage [V]", LIKELY),
+        ("voltage", "battvolt", LIKELY),
+        ("voltage", "Heater Voltage [V]", None),
+        ("current", "amps_in", LIKELY),
+        ("current", "current_motor", None),
+        ("current", "current_speed", None),
+        ("speed", "current_speed", 1),
+        ("speed", "wind_speed", None),
+        ("x", "/odom/pose/pose/position/x", LIKELY),
+        ("x", "accel_x", None),
+        ("t", "timestamp_ms", NAMED),
+        ("t", "Time to full", None),
+        ("soc", "battery_level", NAMED),
+        ("energy", "energy_Wh", NAMED),
+        ("z", "Temperature [m]", None),
+    ],
+)
+def test_what_a_name_says(target, column, sureness):
+    found = candidate(target, column)
+    assert (found.sureness if found is not None else None) == sureness
+
+
+# ---------------------------------------------------------------- the files beside the checkout
+
+
+@pytest.fixture(scope="module")
+def wild():
+    named = os.environ.get("JOULEMAP_WILD_DATA")
+    folder = Path(named) if named else Path(__file__).resolve().parents[2].parent / "shared" / "wild"
+    if not folder.is_dir():
+        pytest.skip(f"no wild files at {folder}: set JOULEMAP_WILD_DATA to their folder to run this test")
+    return folder, json.loads((folder / "answers.json").read_text())
+
+
+def imported(files, tmp_path, *options):
+    out = tmp_path / "answer.json"
+    found = CliRunner().invoke(app, ["import", *map(str, files), *options, "--json", str(out)])
+    return found, json.loads(out.read_text())["runs"] if found.exit_code == 0 else []
+
+
+def test_every_wild_log_gives_its_answer(wild, tmp_path):
+    folder, answers = wild
+    groups = {}
+    for file, answer in answers.items():
+        if file.startswith("logs/") and "refused" not in answer:
+            options = ("--map", answer["mapping"]) if "mapping" in answer else ()
+            if file == "logs/charge_only.csv":
+                options = ("--map", "capacity_wh=20")  # its note says so
+            groups.setdefault(options, []).append(file)
+    copies = {"same_b.csv", "same_c.csv"}  # of same_a.csv: one run
+    seen = set()
+    for options, files in groups.items():
+        found, runs = imported([folder / file for file in files], tmp_path, *options)
+        assert found.exit_code == 0, found.output
+        for run in runs:
+            answer = answers[f"logs/{run['name']}"]
+            share = answer.get("tolerance", 0.01)
+            assert run["metres"] == pytest.approx(answer["metres"], rel=share), run["name"]
+            assert run["energy_j"] == pytest.approx(answer["energy_j"], rel=share), run["name"]
+            assert run["unknown_seconds"] == pytest.approx(answer.get("unknown_seconds", run["unknown_seconds"]), abs=1)
+            seen.add(run["name"])
+    expected = {Path(file).name for file, answer in answers.items() if file.startswith("logs/") and "refused" not in answer}
+    assert seen == expected - copies
+
+
+def test_every_wild_log_without_a_reading_is_refused_with_its_reason(wild, tmp_path):
+    folder, answers = wild
+    for file, answer in answers.items():
+        if file.startswith("logs/") and "refused" in answer:
+            found, _ = imported([folder / file], tmp_path)
+            assert found.exit_code == 3
+            assert answer["refused"] in " ".join(found.output.split())
