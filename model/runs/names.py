@@ -136,7 +136,7 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
     if unit and said is None and target not in ("t", "lat", "lon"):
         return None
     words = _words(stem)
-    if not _WORDS[target] & {*words}:  # `Pack Amps`
+    if in_name is not None and not _WORDS[target] & {*words}:  # `Pack Amps`
         words = _words(column)
     bracket = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$", column)
     if bracket is not None and in_name is None and not unit and _is_unit(bracket[1]):

@@ -46,7 +46,7 @@ def refuse_deadly(
         If one is larger than the limits.
     """
     kinds = [format_of(file, file.name) for file in files]
-    named = [each for each in zip(files, distinct_names(files), kinds, strict=True) if each[2].extra]
+    named = [each for each in zip(files, distinct_names(files), kinds, strict=True) if not each[2].text]
     if not named:
         return
     asked = {

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
+from typing import Any
 
 from joulemap.model.errors import NotFoundError
 from joulemap.model.recordings.split import is_split
@@ -15,6 +16,7 @@ from joulemap.model.runs.formats import suffixes
 from joulemap.model.runs.mapping import MappingLike, read_mapping
 from joulemap.model.runs.reader import Run
 from joulemap.service.intake.trial import refuse_deadly
+from joulemap.service.library.tables import is_kept, is_table, kept_table
 from joulemap.service.library.html import html_table, text_table
 from joulemap.service.words import duration_words, runs_words
 
@@ -76,8 +78,9 @@ class Runs:
         return html_table(runs_words(len(self)), self._rows())
 
 
-RunsLike = Runs | str | Path | Sequence[str | Path]
-"""Runs, or a file, a folder, a pattern such as "logs/*.csv", or several of these."""
+RunsLike = Any
+"""Runs; a file, a folder, a pattern such as "logs/*.csv"; a table in memory; or several of these. A table is a data
+frame of pandas or polars, a table of pyarrow, or a mapping from names to arrays."""
 
 
 def read_runs(files: RunsLike, *, crs: str | None = None, mapping: MappingLike | None = None) -> Runs:
@@ -85,8 +88,9 @@ def read_runs(files: RunsLike, *, crs: str | None = None, mapping: MappingLike |
 
     Parameters
     ----------
-    files : str, Path or sequence of these
-        Files (CSV, Parquet, MCAP, ROS bags, flight logs, FIT), folders, or patterns such as "logs/*.csv".
+    files : str, Path, table or iterable of these
+        Files (CSV, JSON, GPX, Parquet, MCAP, ROS bags, flight logs, FIT), folders, or patterns such as "logs/*.csv".
+        A table is a data frame of pandas or polars, a table of pyarrow, or a mapping from names to arrays.
     crs : str, optional
         Coordinate system of the heightmap, for logs that have `lat` and `lon` instead of `x` and `y`.
     mapping : mapping, sequence of str, str or Path, optional
@@ -166,8 +170,8 @@ def find_run_files(
     if isinstance(files, Runs):
         return list(files.files)
     found: dict[Path, Path] = {}
-    for each in [files] if isinstance(files, str | Path) else files:
-        place = Path(each)
+    for each in [files] if isinstance(files, str | Path) or is_table(files) else files:
+        place = kept_table(each) if is_table(each) else Path(each)
         if place.is_file() or is_split(place):
             here = [place]
         elif place.is_dir():
@@ -185,5 +189,5 @@ def find_run_files(
         warnings.warn(words, stacklevel=2)
     files_found = [path for path in found.values() if path not in copies]
     if trial:
-        refuse_deadly(files_found, mapping=mapping)
+        refuse_deadly([path for path in files_found if not is_kept(path)], mapping=mapping)
     return files_found

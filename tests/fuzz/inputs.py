@@ -195,6 +195,25 @@ def parquet_logs() -> list[bytes]:
 
 
 @cache
+def json_logs() -> list[bytes]:
+    header, *rows = [line.split(",") for line in LOG.decode().splitlines()[:120]]
+    records = [{"a": dict(zip(header[:2], map(float, row[:2]), strict=True))} | dict(zip(header, row, strict=True)) for row in rows]
+    columns = {key: [float(row[k]) for row in rows] for k, key in enumerate(header)}
+    whole = [records, {"log": {"points": records}}, columns, [header, *rows]]
+    return ["\n".join(map(json.dumps, records)).encode(), *(json.dumps(each).encode() for each in whole)]
+
+
+@cache
+def xml_tracks() -> list[bytes]:
+    points = "".join(
+        f'<trkpt lat="{45 + 1e-5 * k:.6f}" lon="-4.1"><ele>5</ele><time>2025-03-29T23:58:{k % 60:02d}Z</time>'
+        f"<extensions><power>{90 + k}</power></extensions></trkpt>"
+        for k in range(60)
+    )
+    return [f'<?xml version="1.0"?><gpx><trk><trkseg>{points}</trkseg></trk></gpx>'.encode()]
+
+
+@cache
 def robots() -> list[bytes]:
     fields = Robot().as_dict()
     lines = [f"{key} = {json.dumps(value)}" for key, value in fields.items()]
@@ -241,7 +260,7 @@ def _robot(content: bytes, rng: Rng) -> None:
     json.dumps(Robot.from_toml(place).as_dict(), allow_nan=False)
 
 
-RUNS = ("csv", "parquet", "wheel_csv", "mapped_csv", *recordings.WRITERS)
+RUNS = ("csv", "parquet", "json", "gpx", "wheel_csv", "mapped_csv", *recordings.WRITERS)
 """Readers of runs; the others read maps, robots and paths."""
 
 READERS: dict[str, tuple[Callable[[], list[bytes]], bool, Callable[[bytes, Rng], None]]] = {
@@ -252,6 +271,8 @@ READERS: dict[str, tuple[Callable[[], list[bytes]], bool, Callable[[bytes, Rng],
     "png": (pictures, False, lambda content, rng: _map(_with_checksums(rng, content), rng, scale_m=0.1)),
     "csv": (logs, True, _run),
     "parquet": (parquet_logs, False, _run),
+    "json": (json_logs, True, _run),
+    "gpx": (xml_tracks, True, _run),
     "wheel_csv": (wheel_logs, True, _travel),
     "robot": (robots, True, _robot),
     "path": (paths.paths, True, paths.read),

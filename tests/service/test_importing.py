@@ -176,3 +176,46 @@ def test_files_of_messages_are_read_on_trial_within_limits(tmp_path):
     good.write_bytes(good.read_bytes()[:9_000] + b"\0" * 400 + good.read_bytes()[9_400:])
     with pytest.raises(RunsError, match=r"run a\.mcap: the MCAP recording is truncated or corrupt"):
         jm.read_runs(good, crs=files.CRS)
+
+
+def in_memory():
+    k = np.arange(ROWS)
+    return {"timestamp": 0.1 * k, "x": WEST + 0.05 * k, "y": 0.0 * k, "Pack Volts": 24.0 + 0.0 * k, "amps": 2.0 + 0.01 * (k % 7)}
+
+
+def test_tables_in_memory_are_runs_as_files_are(tmp_path):
+    import pandas as pd
+    import pyarrow as pa
+
+    columns = in_memory()
+    frame = pd.DataFrame(columns)
+    timed = frame.drop(columns="timestamp").set_index(pd.to_datetime(1e9 * columns["timestamp"], utc=True))
+    more = [columns, {key: list(values) for key, values in columns.items()}, frame, timed, pa.table(columns)]
+    energies = [jm.read_runs(one).runs[0].energy()[0] for one in more]
+    assert energies == pytest.approx([energies[0]] * len(more))
+    runs = jm.read_runs(one | {"amps": one["amps"] + k} for k, one in enumerate([columns, columns]))
+    assert [len(run) for run in runs.runs] == [ROWS, ROWS]
+    with pytest.raises(RunsError, match="not a readable table"):
+        jm.read_runs({"t": [1, 2, 3], "x": [1]})
+    with pytest.raises(RunsError, match="speed=Speed:km/h"):
+        jm.read_runs({"t": columns["timestamp"], "Speed": np.full(ROWS, 5.0), "power": np.full(ROWS, 90.0)})
+
+
+def test_copies_of_a_log_are_one_run(client, tmp_path):
+    for name in ("a", "b", "c"):
+        (tmp_path / f"{name}.csv").write_text(odd_csv())
+    with pytest.warns(UserWarning, match=r"a\.csv is there 3 times, also as b\.csv, c\.csv: it is read once"):
+        assert len(jm.read_runs(tmp_path, mapping=MAP)) == 1
+    found = CliRunner().invoke(app, ["import", str(tmp_path), "--map", ",".join(MAP), "--picture", str(tmp_path / "a.png")])
+    assert found.exit_code == 0, found.output
+    assert "a.csv is there 3 times" in found.output
+    assert "pack_mV" in found.output
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    sent = [("file", (name, odd_csv())) for name in ("a.csv", "b.csv")]
+    answer = client.post("/v1/runs", files=sent, params={"map": MAP})
+    assert answer.status_code == 201, answer.text
+    (run,) = answer.json()["runs"]
+    assert run["warnings"] == ["it was sent again as b.csv: it is kept once"]
+    assert run["first_rows"]["voltage"] == [24.0] * 5
+    assert run["confidence"]["voltage"] == 1.0
+    assert run["energy_j"] == pytest.approx(run["per_m"] * run["metres"], rel=0.02)

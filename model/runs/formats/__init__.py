@@ -14,9 +14,9 @@ FORMATS = [
     LogFormat("MAVLink telemetry log", (".tlog",), ".mavlink_telemetry", "logs"),
     LogFormat("PX4 ULog", (".ulg",), ".ulog", "logs"),
     LogFormat("FIT file", (".fit",), ".fit", "logs"),
-    LogFormat("JSON text", (".json", ".jsonl", ".ndjson", ".geojson"), ".json_records"),
-    LogFormat("track in XML", (".gpx", ".tcx"), ".xml_track"),
-    LogFormat("CSV text", (".csv", ".tsv", ".txt"), ".text"),
+    LogFormat("JSON text", (".json", ".jsonl", ".ndjson", ".geojson"), ".json_records", text=True),
+    LogFormat("track in XML", (".gpx", ".tcx"), ".xml_track", text=True),
+    LogFormat("CSV text", (".csv", ".tsv", ".txt"), ".text", text=True),
 ]
 """All formats that are read, in the order in which they are tried. A module name with a dot in front lies here."""
 

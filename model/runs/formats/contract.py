@@ -140,12 +140,15 @@ class LogFormat:
         Module with the functions of `LogModule`. It is imported when the first file is read.
     extra : str
         Extra of the distribution that brings the libraries it needs; empty where it needs none.
+    text : bool
+        Whether it is a text, which ends no process that reads it.
     """
 
     name: str
     suffixes: tuple[str, ...]
     module: str
     extra: str = ""
+    text: bool = False
 
     @property
     def code(self) -> LogModule:

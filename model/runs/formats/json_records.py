@@ -6,10 +6,12 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from joulemap.model.errors import RunsError
 from joulemap.model.runs.formats.columns import stream_of
 from joulemap.model.runs.formats.contract import Log, content_of
-from joulemap.model.runs.table import LEAST_ROWS, TableLimits
+from joulemap.model.runs.table import LARGEST, LEAST_ROWS, LONGEST_NAME, TableLimits
 from joulemap.model.source_file import SourceFile
 
 _DEEPEST = 12
@@ -84,7 +86,7 @@ def columns_of(records: Iterable[Mapping[str, Any]], name: str, limits: TableLim
     Returns
     -------
     pyarrow.Table
-        A field that a record lacks is null there.
+        A field that a record lacks is unknown there; fields of fewer than `LEAST_ROWS` records are left out.
 
     Raises
     ------
@@ -93,30 +95,34 @@ def columns_of(records: Iterable[Mapping[str, Any]], name: str, limits: TableLim
     """
     import pyarrow as pa
 
-    columns: dict[str, list[Any]] = {}
+    columns: dict[str, tuple[list[int], list[Any]]] = {}
     rows = 0
     for record in records:
         for key, value in record.items():
-            column = columns.get(key)
-            if column is None:
+            if key not in columns:
                 limits.check(rows, len(columns) + 1, name)
-                column = columns[key] = [None] * rows
-            column.append(value)
+            at, values = columns.setdefault(key, ([], []))
+            at.append(rows)
+            values.append(value)
         rows += 1
         if rows % 1000 == 0:
-            limits.check(rows, len(columns), name)
-        for column in columns.values():
-            if len(column) < rows:
-                column.append(None)
-    return pa.table({key: _array(values) for key, values in columns.items()})
+            limits.check(rows, 1, name)
+    known = {key: found for key, found in columns.items() if len(found[0]) >= LEAST_ROWS}  # fewer say nothing of a drive
+    limits.check(rows, len(known), name)
+    return pa.table({key[:LONGEST_NAME]: _array(rows, *found) for key, found in known.items()})
 
 
-def _array(values: list[Any]) -> Any:
+def _array(rows: int, at: list[int], values: list[Any]) -> Any:
     import pyarrow as pa
 
     if all(value is None or (isinstance(value, int | float) and not isinstance(value, bool)) for value in values):
-        return pa.array([None if value is None else float(value) for value in values], pa.float64())
-    return pa.array([None if value is None else str(value) for value in values], pa.string())
+        numbers = np.full(rows, np.nan)
+        numbers[at] = [np.nan if value is None else min(max(float(value), -LARGEST), LARGEST) for value in values]
+        return pa.array(numbers)
+    words: list[str | None] = [None] * rows
+    for row, value in zip(at, values, strict=True):
+        words[row] = None if value is None else str(value)
+    return pa.array(words, pa.string())
 
 
 def _records(content: bytes, name: str, repairs: dict[str, int]) -> Iterable[Mapping[str, Any]]:
