@@ -125,9 +125,7 @@ def path_of(numbers: Mapping[str, FloatArray]) -> float | None:
     return float(np.hypot(np.diff(x[::step]), np.diff(y[::step])).sum())
 
 
-def _plane(
-    numbers: Mapping[str, FloatArray], t: FloatArray | None = None
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _plane(numbers: Mapping[str, FloatArray], t: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Known positions in metres, and their stamps."""
     if {"x", "y"} <= numbers.keys():
         x, y = numbers["x"], numbers["y"]
@@ -167,7 +165,9 @@ def speed_unit(t: FloatArray, speed: FloatArray, numbers: Mapping[str, FloatArra
     longer way.
     """
     x, y, at = _plane(numbers, t)
-    logged = np.interp(at, t[known], np.abs(speed[known])) if (known := np.isfinite(t) & np.isfinite(speed)).any() else at
+    logged = (
+        np.interp(at, t[known], np.abs(speed[known])) if (known := np.isfinite(t) & np.isfinite(speed)).any() else at
+    )
     if at.size > 20:
         step = float(np.median(np.diff(at)))
         lag = int(np.clip(np.ceil(_WINDOW_S / max(step, 1e-6)), 1, at.size // 4))
@@ -211,7 +211,7 @@ def compass(t: FloatArray, angle: FloatArray, numbers: Mapping[str, FloatArray])
     lag = max(1, x.size // 100)
     dx, dy = x[lag:] - x[:-lag], y[lag:] - y[:-lag]
     far = np.hypot(dx, dy) > 0.5 * float(np.median(np.hypot(dx, dy)))
-    at = _plane(numbers | {"t": angle}, np.where(np.isfinite(t), angle, np.nan))[2]
+    at = _plane(numbers, np.where(np.isfinite(t), angle, np.nan))[2]
     middle = at[lag // 2 : lag // 2 + dx.size]
     way = np.arctan2(dx, dy)
     best = None

@@ -58,16 +58,17 @@ def seconds_of(texts: Iterable[str | None], *, lenient: bool | None = None) -> F
     day_first = any(found[2] == "." or int(found[1]) > 12 for found in ordered)
     if not day_first and ordered and all(found[2] == "-" for found in ordered):
         day_first = not any(int(found[3]) > 12 for found in ordered)
-    found, wrong = [], 0
+    seconds: list[float] = []
+    wrong = 0
     for k, word in enumerate(words):
         try:
-            found.append(_seconds(word, day_first))
+            seconds.append(_seconds(word, day_first))
         except (ValueError, OverflowError):
             if not lenient:
                 raise ValueError(k) from None
             wrong += 1
-            found.append(np.nan)
-    values = np.array(found, dtype=np.float64)
+            seconds.append(np.nan)
+    values = np.array(seconds, dtype=np.float64)
     return values if lenient is None else (values, wrong)
 
 

@@ -29,6 +29,7 @@ _SIGNS = {"+": 1, "-": -1}
 _MOST_ENTRIES = 200
 _LONGEST_SOURCE = 500
 
+
 @dataclass(frozen=True)
 class Source:
     """Where a column of joulemap is taken from.

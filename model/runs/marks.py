@@ -1,4 +1,4 @@
-"""Marks of unknown values: the largest and smallest numbers of a type, which loggers write where nothing was measured."""
+"""Marks of unknown values: the largest numbers of a type, which loggers write where nothing was measured."""
 
 from __future__ import annotations
 

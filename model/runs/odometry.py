@@ -20,10 +20,10 @@ from joulemap.model.ranges import TRACK_M
 from joulemap.model.runs.arcs import rows_missing
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.logs import read_log
-from joulemap.model.runs.table_columns import Table
 from joulemap.model.runs.reader import Run, run_of
 from joulemap.model.runs.rolling import SIDES, rolled_between, without_blanks
 from joulemap.model.runs.table import LIMITS, TableLimits, columns_there
+from joulemap.model.runs.table_columns import Table
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]

@@ -265,9 +265,7 @@ def parse_run(
     repairs: dict[str, int] = {}
     table = read_log(content, name, repairs, limits=limits, mapping=mapping)
     run = run_of(table.numbers, table.texts, name=name, crs=crs, repairs=repairs, currents=currents)
-    return replace(
-        run, reading=table.reading, notes=(*table.notes, *run.notes), confidence=table.confidence
-    )
+    return replace(run, reading=table.reading, notes=(*table.notes, *run.notes), confidence=table.confidence)
 
 
 def run_of(
@@ -310,8 +308,8 @@ def run_of(
     if "t" in texts:
         row = next((k for k, cell in enumerate(texts["t"].tolist()) if cell.strip()), 0)
         raise RunsError(
-            f"run {name}, column 't', row {row + 2}: {str(texts['t'][row])[:80]!r} is not a number, and no time such as "
-            "2024-05-01T12:00:00.25",
+            f"run {name}, column 't', row {row + 2}: {str(texts['t'][row])[:80]!r} is not a number, and no time such "
+            "as 2024-05-01T12:00:00.25",
             run=name,
             column="t",
             row=row + 2,

@@ -1,7 +1,7 @@
-"""Which columns of a table are joulemap's: by name and unit, then by what the values say, with a question where two remain.
+"""Which columns of a table are joulemap's: by name and unit, then by values, with a question where two remain.
 
-Of several columns that may be one, the surest name wins, then a sum over all batteries, then the column that agrees with
-the others: power with voltage times current. Columns that say the same are one. Numbered pairs of a voltage and a
+Of several columns that may be one, the surest name wins, then a sum over all batteries, then the column that agrees
+with the others: power with voltage times current. Columns that say the same are one. Numbered pairs of a voltage and a
 current are batteries in parallel, whose powers add.
 """
 
@@ -15,7 +15,16 @@ import numpy as np
 from joulemap.model.runs.formats.columns import CLOCK, DATE
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.mapping import Source, source_of
-from joulemap.model.runs.names import LIKELY, NAMED, POSSIBLE, Candidate, candidate, motor_current, ruled_out, wheel_speed
+from joulemap.model.runs.names import (
+    LIKELY,
+    NAMED,
+    POSSIBLE,
+    Candidate,
+    candidate,
+    motor_current,
+    ruled_out,
+    wheel_speed,
+)
 from joulemap.model.runs.table import LEAST_ROWS, FloatArray
 from joulemap.model.runs.units import known_unit, own_unit, quantity_of, unit_in_name
 
@@ -221,7 +230,7 @@ def _rises(values: FloatArray) -> float:
 
 
 def _choose_speeds(stream: Stream, mapping: Mapping[str, str], found: Recognised) -> None:
-    sides = {side.instance: side for column in stream.numbers if (side := wheel_speed(column)) is not None}
+    sides = {each.instance: each for column in stream.numbers if (each := wheel_speed(column)) is not None}
     for side in ("left", "right"):
         target = f"speed_{side}"
         if side in sides and target not in mapping and target not in stream.numbers:
@@ -238,7 +247,9 @@ def _choose_electric(stream: Stream, mapping: Mapping[str, str], found: Recognis
         key: [] if replaced(key, mapping) else _candidates(key, stream, taken)
         for key in ("voltage", "current", "power")
     }
-    parts = [column for column in numbers if column.startswith("current_") or column in ("left_current", "right_current")]
+    parts = [
+        column for column in numbers if column.startswith("current_") or column in ("left_current", "right_current")
+    ]
     if len(parts) > 1:
         of["current"] = [
             each for each in of["current"] if each.sureness >= LIKELY and each.column.lower() not in _MOTOR_A
@@ -247,7 +258,8 @@ def _choose_electric(stream: Stream, mapping: Mapping[str, str], found: Recognis
         _take_motors(stream, taken, found)
     tied = {key: _first(each, numbers) for key, each in of.items()}
     if len(tied["voltage"]) > 1 or len(tied["current"]) > 1:
-        _take_agreeing(tied, numbers) or _take_packs(tied, found)
+        if not _take_agreeing(tied, numbers):
+            _take_packs(tied, found)
     for key, each in tied.items():
         if key in chosen or not each or (found.packs and key in ("voltage", "current")):
             continue
@@ -295,7 +307,7 @@ def _take_packs(tied: Mapping[str, list[Candidate]], found: Recognised) -> bool:
     """Pairs of a voltage and a current with the same number."""
     volts, amps = ({each.instance: each for each in tied[key]} for key in ("voltage", "current"))
     same = [key for key in amps if key in volts]
-    if len(amps) < 2 or len(amps) != len(tied["current"]) or len(volts) > 1 and len(same) != len(amps):
+    if len(amps) < 2 or len(amps) != len(tied["current"]) or (len(volts) > 1 and len(same) != len(amps)):
         return False
     for instance, amp in amps.items():
         volt = volts[instance] if len(volts) > 1 else next(iter(volts.values()), None)
@@ -338,8 +350,12 @@ def _by_unit(target: str, stream: Stream, found: Recognised) -> None:
     for column in stream.numbers:
         bracketed = unit_in_name(target, column)[1] if column.rstrip().endswith(("]", ")")) else None
         unit = known_unit(target, stream.units.get(column, "")) or bracketed
-        if unit in _BY_UNIT[target] and column not in taken and not ruled_out(target, column) and _speaks(
-            target, stream.numbers[column]):
+        if (
+            unit in _BY_UNIT[target]
+            and column not in taken
+            and not ruled_out(target, column)
+            and _speaks(target, stream.numbers[column])
+        ):
             fitting.append(Candidate(column, unit, 0))
     if len(fitting) == 1:
         _take(target, fitting, found)

@@ -1,4 +1,4 @@
-"""From the columns of a table to joulemap's: recognised, in its units, each interpolated where it is a series of its own."""
+"""From the columns of a table to joulemap's: recognised, in its units, interpolated where they are series of their own."""
 
 from __future__ import annotations
 
@@ -145,9 +145,7 @@ def _words(target: str, source: Source, unit: str) -> str:
     return Source(source.parts, unit or source.unit).words(target)
 
 
-def _read(
-    target: str, source: Source, stream: Stream, name: str, repairs: dict[str, int]
-) -> tuple[FloatArray, str]:
+def _read(target: str, source: Source, stream: Stream, name: str, repairs: dict[str, int]) -> tuple[FloatArray, str]:
     """The values in joulemap's unit, and the unit where it was found out."""
     total: FloatArray | None = None
     for sign, column in source.parts:
@@ -196,9 +194,7 @@ def numbers_of(stream: Stream, column: str, name: str) -> FloatArray:
     )
 
 
-def _time(
-    source: Source, stream: Stream, path_m: float | None, name: str, found: Recognised
-) -> tuple[FloatArray, str]:
+def _time(source: Source, stream: Stream, path_m: float | None, name: str, found: Recognised) -> tuple[FloatArray, str]:
     """The stamps [s], and their unit where the name does not say it."""
     kinds = [stream.units.get(column, "") for column in source.columns]
     columns = [numbers_of(stream, column, name) for column in source.columns]
@@ -237,7 +233,9 @@ def _take_speed(
                 unit = "km/h"
                 found.notes.append(f"`speed` is taken for km/h, because {column[:60]} reaches more than {_FAST_KMPH:g}")
             else:
-                found.questions["speed"] = f"is {column[:60]} in km/h or m/s? Say it with a mapping: speed={column[:60]}:km/h"
+                found.questions["speed"] = (
+                    f"is {column[:60]} in km/h or m/s? Say it with a mapping: speed={column[:60]}:km/h"
+                )
                 return
         if not unit and source.columns != ["speed"]:  # of which joulemap's own is in m/s
             return
@@ -294,9 +292,26 @@ def _aligned(
     """
     needed = [
         key
-        for key in ("x", "y", "lat", "lon", "distance", "speed", "voltage", "current", "power", "energy", "charge", "soc")
+        for key in (
+            "x",
+            "y",
+            "lat",
+            "lon",
+            "distance",
+            "speed",
+            "voltage",
+            "current",
+            "power",
+            "energy",
+            "charge",
+            "soc",
+        )
         if key in numbers and np.isfinite(numbers[key]).sum() > 1
-    ] + [key for key in (*numbers, *rest) if key.startswith("current_") and np.isfinite({**rest, **numbers}[key]).sum() > 1]
+    ] + [
+        key
+        for key in (*numbers, *rest)
+        if key.startswith("current_") and np.isfinite({**rest, **numbers}[key]).sum() > 1
+    ]
     every = {**rest, **numbers}
     known = {key: np.isfinite(every[key]) & np.isfinite(numbers["t"]) for key in needed}
     if not known or min(float(rows.mean()) for rows in known.values()) >= _SPARSE:
@@ -364,7 +379,9 @@ def _take_counters(
             reading.pop(counter, None)
     for key in ("current", "power", "voltage"):
         question = found.questions.get(key)
-        missing = not flows and "soc" not in numbers if key != "voltage" else "current" in numbers and "power" not in numbers
+        missing = (
+            not flows and "soc" not in numbers if key != "voltage" else "current" in numbers and "power" not in numbers
+        )
         if question and missing:
             raise RunsError(f"run {name}: {question}", run=name, column=key)
 

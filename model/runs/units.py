@@ -255,8 +255,8 @@ def unit_in_name(target: str, column: str) -> tuple[str, str | None]:
     tuple of (str, str or None)
         The name without the unit, and the unit; None where the name says none.
     """
-    for phrase, words in _PHRASES:
-        column = phrase.sub(words, column)
+    for phrase, unit_word in _PHRASES:
+        column = phrase.sub(unit_word, column)
     bracketed = _BRACKETED.match(column)
     if bracketed is not None:
         unit = known_unit(target, bracketed[2])

@@ -45,7 +45,9 @@ def import_logs(
     picture: Annotated[
         Path | None,
         typer.Option(
-            "--picture", metavar="PNG", help="Draw the track of a log and the power along it; of several, name a folder."
+            "--picture",
+            metavar="PNG",
+            help="Draw the track of a log and the power along it; of several, name a folder.",
         ),
     ] = None,
     memory: Annotated[float, typer.Option(min=100.0, metavar="MB", help="Memory that a log may take [MB].")] = 4000.0,

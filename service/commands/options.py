@@ -101,7 +101,12 @@ def known_model(name: str | None) -> str | None:
     return name
 
 
-_HEIGHTMAP = typer.Option("--heightmap", metavar="FILE", callback=there, help="Heightmap that the runs were driven on.")
+_HEIGHTMAP = typer.Option(
+    "--heightmap",
+    metavar="FILE",
+    callback=there,
+    help="Heightmap that the runs were driven on. Drives without positions, with a speed or a distance, need none.",
+)
 _RUNS = typer.Option(
     "--runs",
     metavar="FILE...",
@@ -497,8 +502,10 @@ def named_sites(
         return sites_given(campaign=campaign, robot=robot)
     if site:
         named = sites_of_options(site)
-    elif heightmap is None or not runs:
+    elif not runs:
         raise typer.BadParameter("--heightmap and --runs go together")
+    elif heightmap is None:  # drives without positions have a ground of their own
+        return sites_given(runs=runs, robot=robot)
     else:
         named = [(heightmap, runs)]
     return sites_given(sites=[(read_heightmap(ground, **reading), files) for ground, files in named], robot=robot)

@@ -123,7 +123,7 @@ class SentFiles:
             If there is no such heightmap.
         """
         copies = await anyio.to_thread.run_sync(same_content, [path for _, path in files])
-        called = dict((path, name) for name, path in files)
+        called = {path: name for name, path in files}
         again = {called[first]: [called[copy] for copy in copies if copies[copy] == first] for first in copies.values()}
         files = [(name, path) for name, path in files if path not in copies]
         names = _distinct([safe_name(name) for name, _ in files])

@@ -14,13 +14,12 @@ import numpy as np
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.logs import read_log
-from joulemap.model.runs.table_columns import Table
 from joulemap.model.runs.odometry import Odometry, odometry_run, read_odometry
 from joulemap.model.runs.plausible import implausible
 from joulemap.model.runs.reader import Run, parse_run, run_of
 from joulemap.model.runs.rolling import cut_travel, rolled_m
-from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.table import TableLimits
+from joulemap.model.runs.table_columns import Table
 from joulemap.model.runs.writers import write_csv
 from joulemap.model.terrain.coordinate_systems import utm_zone
 from joulemap.service.intake.limits import RunLimits

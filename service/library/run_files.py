@@ -16,8 +16,8 @@ from joulemap.model.runs.formats import suffixes
 from joulemap.model.runs.mapping import MappingLike, read_mapping
 from joulemap.model.runs.reader import Run
 from joulemap.service.intake.trial import refuse_deadly
-from joulemap.service.library.tables import is_kept, is_table, kept_table
 from joulemap.service.library.html import html_table, text_table
+from joulemap.service.library.tables import is_kept, is_table, kept_table
 from joulemap.service.words import duration_words, runs_words
 
 RUN_SUFFIXES = suffixes()

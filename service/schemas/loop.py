@@ -58,7 +58,8 @@ class RunOut(ResponseModel):
     metres: float | None = Field(default=None, description="length of all segments [m]", examples=[142.6])
     per_m: float | None = Field(
         default=None,
-        description="median of the energy [J/m] or charge [A s/m] of a metre; null where a state of charge is all there is",
+        description="median of the energy [J/m] or charge [A s/m] of a metre; null where a state of charge is all "
+        "there is",
         examples=[124.6],
     )
     energy_j: float | None = Field(
@@ -77,7 +78,9 @@ class RunOut(ResponseModel):
         examples=[{"t": 0.99, "current": 0.95}],
     )
     first_rows: dict[str, list[float | None]] = Field(
-        default={}, description="first rows as they were understood", examples=[{"t": [0.0, 0.5], "current": [2.1, 2.2]}]
+        default={},
+        description="first rows as they were understood",
+        examples=[{"t": [0.0, 0.5], "current": [2.1, 2.2]}],
     )
 
 

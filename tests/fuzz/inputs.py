@@ -197,7 +197,10 @@ def parquet_logs() -> list[bytes]:
 @cache
 def json_logs() -> list[bytes]:
     header, *rows = [line.split(",") for line in LOG.decode().splitlines()[:120]]
-    records = [{"a": dict(zip(header[:2], map(float, row[:2]), strict=True))} | dict(zip(header, row, strict=True)) for row in rows]
+    records = [
+        {"a": dict(zip(header[:2], map(float, row[:2]), strict=True))} | dict(zip(header, row, strict=True))
+        for row in rows
+    ]
     columns = {key: [float(row[k]) for row in rows] for k, key in enumerate(header)}
     whole = [records, {"log": {"points": records}}, columns, [header, *rows]]
     return ["\n".join(map(json.dumps, records)).encode(), *(json.dumps(each).encode() for each in whole)]

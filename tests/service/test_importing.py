@@ -180,7 +180,13 @@ def test_files_of_messages_are_read_on_trial_within_limits(tmp_path):
 
 def in_memory():
     k = np.arange(ROWS)
-    return {"timestamp": 0.1 * k, "x": WEST + 0.05 * k, "y": 0.0 * k, "Pack Volts": 24.0 + 0.0 * k, "amps": 2.0 + 0.01 * (k % 7)}
+    return {
+        "timestamp": 0.1 * k,
+        "x": WEST + 0.05 * k,
+        "y": 0.0 * k,
+        "Pack Volts": 24.0 + 0.0 * k,
+        "amps": 2.0 + 0.01 * (k % 7),
+    }
 
 
 def test_tables_in_memory_are_runs_as_files_are(tmp_path):
@@ -206,7 +212,9 @@ def test_copies_of_a_log_are_one_run(client, tmp_path):
         (tmp_path / f"{name}.csv").write_text(odd_csv())
     with pytest.warns(UserWarning, match=r"a\.csv is there 3 times, also as b\.csv, c\.csv: it is read once"):
         assert len(jm.read_runs(tmp_path, mapping=MAP)) == 1
-    found = CliRunner().invoke(app, ["import", str(tmp_path), "--map", ",".join(MAP), "--picture", str(tmp_path / "a.png")])
+    found = CliRunner().invoke(
+        app, ["import", str(tmp_path), "--map", ",".join(MAP), "--picture", str(tmp_path / "a.png")]
+    )
     assert found.exit_code == 0, found.output
     assert "a.csv is there 3 times" in found.output
     assert "pack_mV" in found.output

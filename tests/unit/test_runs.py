@@ -326,7 +326,9 @@ def test_quoted_cells_and_empty_lines():
 def test_broken_tables_are_refused(tmp_path):
     lines = text(log()).splitlines()
     wide = [lines[0], *(line.replace(".", ",") for line in lines[1:])]
-    with pytest.raises(RunsError, match="row 2: 10 cells where the header has 5 columns, as in most rows: if its commas"):
+    with pytest.raises(
+        RunsError, match="row 2: 10 cells where the header has 5 columns, as in most rows: if its commas"
+    ):
         parse_run("\n".join(wide), name="r")
     with pytest.raises(RunsError, match="empty"):
         parse_run("", name="r")

@@ -133,7 +133,9 @@ def test_drives_without_positions_have_the_distance_of_their_speed():
 
 def test_two_columns_that_may_be_one_are_asked_for_and_the_product_decides_otherwise():
     both = without("current", pack_current=AMPS, battery_current=2 * AMPS)
-    with pytest.raises(RunsError, match="which of pack_current, battery_current is its current\\? Say it with a mapping"):
+    with pytest.raises(
+        RunsError, match="which of pack_current, battery_current is its current\\? Say it with a mapping"
+    ):
         read(both)
     as_it_was(read(both, mapping={"current": "pack_current"}))
     as_it_was(read(both | {"power": VOLTS * AMPS}))
@@ -233,7 +235,9 @@ def test_every_wild_log_gives_its_answer(wild, tmp_path):
             assert run["energy_j"] == pytest.approx(answer["energy_j"], rel=share), run["name"]
             assert run["unknown_seconds"] == pytest.approx(answer.get("unknown_seconds", run["unknown_seconds"]), abs=1)
             seen.add(run["name"])
-    expected = {Path(file).name for file, answer in answers.items() if file.startswith("logs/") and "refused" not in answer}
+    expected = {
+        Path(file).name for file, answer in answers.items() if file.startswith("logs/") and "refused" not in answer
+    }
     assert seen == expected - copies
 
 

@@ -1,4 +1,4 @@
-"""ArduPilot dataflash logs (.bin, or .log as text): battery (BAT), receiver (GPS), estimated position (POS) and attitude (ATT)."""
+"""ArduPilot dataflash logs (.bin, or .log as text): battery (BAT), receiver (GPS), position (POS), attitude (ATT)."""
 
 from __future__ import annotations
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from joulemap.model.errors import RunsError
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.instants import seconds_of
 from joulemap.model.runs.table import LARGEST, LONGEST_NAME, FloatArray, TableLimits, TextArray

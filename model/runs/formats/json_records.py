@@ -107,7 +107,9 @@ def columns_of(records: Iterable[Mapping[str, Any]], name: str, limits: TableLim
         rows += 1
         if rows % 1000 == 0:
             limits.check(rows, 1, name)
-    known = {key: found for key, found in columns.items() if len(found[0]) >= LEAST_ROWS}  # fewer say nothing of a drive
+    known = {
+        key: found for key, found in columns.items() if len(found[0]) >= LEAST_ROWS
+    }  # fewer say nothing of a drive
     limits.check(rows, len(known), name)
     return pa.table({key[:LONGEST_NAME]: _array(rows, *found) for key, found in known.items()})
 

@@ -81,7 +81,12 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     content = _utf8(content_of(source), name)
     separator, header, units, line, start = _header(content, name)
     if separator == " ":
-        content, start, line, separator = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+", b"", content[start:])), 0, b"", "\t"
+        content, start, line, separator = (
+            re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+", b"", content[start:])),
+            0,
+            b"",
+            "\t",
+        )
     limits.check(content.count(b"\n", start) + (not content.endswith(b"\n")), len(header), name)
     quoted = content.find(b'"', start) >= 0
     body = _without_headers(memoryview(content)[start:], line)
@@ -167,7 +172,8 @@ def _header(content: bytes, name: str) -> tuple[str, list[str], list[str], bytes
             found=len(first),
             limit=_LONGEST_HEADER,
         )
-    lines, at = [], start
+    lines: list[tuple[str, int]] = []
+    at = start
     while len(lines) < _SAMPLE_LINES and at < len(content) and at - start < _SAMPLE_BYTES + len(first):
         end = _line_end(content, at)
         lines.append((content[at:end].decode("utf-8", "replace"), end + 1))
