@@ -19,6 +19,7 @@ _EARTH_M = 6_371_000.0
 _ALIKE = 0.2  # of a path and the distance of a speed, which differ by slips and corners
 _SPEEDS = ("m/s", "km/h", "mph")  # these differ by more; knots and miles an hour do not
 _WINDOW_S = 5.0
+_LEAST_DRAG_M2 = 0.1
 _SLOWEST_MPS, _FASTEST_MPS = 0.02, 70.0  # of the path of a vehicle that drives
 
 
@@ -186,6 +187,34 @@ def speed_unit(t: FloatArray, speed: FloatArray, numbers: Mapping[str, FloatArra
     off = {unit: abs(np.log(ratio / UNITS["speed"][unit][0])) for unit in _SPEEDS}
     best = min(off, key=lambda unit: off[unit])
     return best if off[best] < _ALIKE else ""
+
+
+def power_unit(power: FloatArray, speed: FloatArray) -> str:
+    """Return `kW` for a power that cannot be in watts, because it is less than the air takes at the speed that was driven.
+
+    Parameters
+    ----------
+    power : ndarray of float, (n,)
+        As logged.
+    speed : ndarray of float, (n,)
+        At the same rows [m/s].
+
+    Returns
+    -------
+    str
+        Empty where it can be in watts, or can be in neither.
+
+    Notes
+    -----
+    The air takes rho c_w A v^3 / 2; rho is 1.2 kg/m3, and c_w A at least 0.1 m2, less than that of the best enclosed
+    bicycles and solar cars.
+    """
+    known = np.isfinite(power) & np.isfinite(speed)
+    if not known.any():
+        return ""
+    air = 0.5 * 1.2 * _LEAST_DRAG_M2 * float(np.mean(np.abs(speed[known]) ** 3))
+    mean = abs(float(np.mean(power[known])))
+    return "kW" if mean < air <= 1e3 * mean else ""
 
 
 def compass(t: FloatArray, angle: FloatArray, numbers: Mapping[str, FloatArray]) -> tuple[FloatArray, str] | None:

@@ -21,7 +21,7 @@ def _set(words: str) -> frozenset[str]:
 
 _WORDS: dict[str, frozenset[str]] = {
     "t": _set(
-        "t time timestamp datetime date stamp clock elapsed seconds secs sec s ms millis milliseconds us micros "
+        "t time timestamp datetime date stamp clock elapsed seconds secs sec ms millis milliseconds us micros "
         "microseconds ns nanoseconds uptime epoch unix utc"
     ),
     "x": _set("x easting utmx"),
@@ -30,11 +30,11 @@ _WORDS: dict[str, frozenset[str]] = {
     "lat": _set("lat latitude"),
     "lon": _set("lon lng long longitude"),
     "voltage": _set("voltage voltages volts volt u v vbat vbatt vin vbus"),
-    "current": _set("current curr cur amps amp amperes amperage i ibat ibatt iin ibus"),
+    "current": _set("current curr cur amps amp amperes amperage a i ibat ibatt iin ibus"),
     "power": _set("power watts watt pwr w p pbat"),
     "energy": _set("energy enrg consumed used consumption drawn discharged wh kwh joules"),
     "charge": _set("charge consumed used consumption drawn discharged ah mah coulombs"),
-    "soc": _set("soc percent percentage level charge remaining battery bat batt"),
+    "soc": _set("soc percent percentage level charge remaining"),
     "distance": _set("distance dist odometer odo mileage trip travelled"),
     "speed": _set("speed velocity vel spd"),
     "heading": _set("heading yaw course bearing cog hdg"),
@@ -82,6 +82,7 @@ SIDES: Mapping[str, str] = {
     "front": "front", "rear": "rear", "back": "rear",
 }  # fmt: skip
 """Words for a part of the vehicle."""
+_BY_UNIT = ("voltage", "current", "power", "soc")  # of which the unit of a battery's column leaves one
 _TOTAL = _set("total tot sum setup overall all")
 _BATTERY = _set("battery batt bat pack")
 _VOCABULARY = frozenset().union(*_WORDS.values(), _OTHER_QUANTITIES, _ABOUT, _NEVER, _ELECTRIC, SIDES)
@@ -139,13 +140,17 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
     if unit and said is None and target not in ("t", "lat", "lon"):
         return None
     words = _words(stem)
-    if in_name is not None and not _WORDS[target] & {*words}:  # `Pack Amps`
+    by_unit = bool(in_name) and target in _BY_UNIT and bool(_BATTERY & {*words})  # `bat_mA`, `Battery [%]`
+    if in_name is not None and not _WORDS[target] & {*words} and not by_unit:  # `Amps`
         words = _words(column)
     bracket = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$", column)
     if bracket is not None and in_name is None and not unit and _is_unit(bracket[1]):
         return None  # a unit of another quantity
     heads = [word for word in words if word in _QUANTITY_WORDS and len(word) > 1]
     own = _WORDS[target]
+    if not heads and by_unit and all(word in _ABOUT or word.isdigit() for word in words):
+        instance = next((word for word in words if word.isdigit()), "")
+        return Candidate(column_of_two, in_name or "", LIKELY, bool(_TOTAL & {*words}), instance)
     if not heads:  # a single letter is a name only beside words that do not change it
         letters = [word for word in words if word in own]
         if not letters or any(word not in own | _ABOUT and not word.isdigit() for word in words):

@@ -1,4 +1,4 @@
-"""From the columns of a table to joulemap's: recognised, in its units, interpolated where they are series of their own."""
+"""From the columns of a table to joulemap's: recognised, in its units, and of one rate."""
 
 from __future__ import annotations
 
@@ -334,7 +334,15 @@ def _check_power(
     found: Recognised,
 ) -> None:
     """A power that is not voltage times current is another one, or in another unit."""
-    if not {"power", "voltage", "current"} <= numbers.keys() or "power" in mapping or found.packs:
+    if "power" not in numbers or "power" in mapping or found.packs:
+        return
+    if not {"voltage", "current"} <= numbers.keys():
+        unit = "" if chosen["power"].unit or "speed" not in numbers else agreement.power_unit(numbers["power"], numbers["speed"])
+        if unit:
+            numbers["power"] = UNITS["power"][unit][0] * numbers["power"]
+            reading["power"] = _words("power", chosen["power"], unit)
+            found.notes.append(f"`power` is taken for {unit}: in W it would be less than the air takes at that speed")
+            found.confidence["power"] = min(found.confidence["power"], 0.8)
         return
     product = numbers["voltage"] * numbers["current"]
     units = {"": 1.0} if chosen["power"].unit else {unit: factor for unit, (factor, _) in UNITS["power"].items()}

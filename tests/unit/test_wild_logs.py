@@ -186,7 +186,7 @@ def test_json_of_any_shape(kind):
         ("x", "accel_x", None),
         ("t", "timestamp_ms", NAMED),
         ("t", "Time to full", None),
-        ("soc", "battery_level", NAMED),
+        ("soc", "battery_level", LIKELY),
         ("energy", "energy_Wh", NAMED),
         ("z", "Temperature [m]", None),
     ],

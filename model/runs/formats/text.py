@@ -189,16 +189,17 @@ def _header(content: bytes, name: str) -> tuple[str, list[str], list[str], bytes
     rows = [(_cells(line, separator), after) for line, after in lines]
     number = next(k for k, (cells, _) in enumerate(rows) if 2 * len(cells) >= usual and any(cells))
     header, after = rows[number]
-    if len(header) > 2 and all(map(_NUMBER.match, filter(None, header))):
-        said = content[:start].decode("utf-8", "replace").splitlines()
-        comment = _cells(said[-1].lstrip("#% "), separator) if said else []
-        if len(comment) != len(header):
-            raise RunsError(
-                f"run {name}: its first line is {', '.join(header)[:80]!r}: write a line with the names of the columns "
-                "above it",
-                run=name,
-            )
+    numbers = [bool(_NUMBER.match(cell)) for cell in header]
+    said = content[:start].decode("utf-8", "replace").splitlines()
+    comment = _cells(said[-1].lstrip("#% "), separator) if said else []
+    if 2 * sum(numbers) > len(header) > 2 and len(comment) == len(header) and not any(map(_NUMBER.match, comment)):
         return separator, comment, [], b"", start
+    if len(header) > 2 and all(map(_NUMBER.match, filter(None, header))):
+        raise RunsError(
+            f"run {name}: its first line is {', '.join(header)[:80]!r}: write a line with the names of the columns "
+            "above it",
+            run=name,
+        )
     units: list[str] = []
     if number + 2 < len(rows):
         second, third = rows[number + 1][0], rows[number + 2][0]
