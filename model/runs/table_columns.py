@@ -337,7 +337,11 @@ def _check_power(
     if "power" not in numbers or "power" in mapping or found.packs:
         return
     if not {"voltage", "current"} <= numbers.keys():
-        unit = "" if chosen["power"].unit or "speed" not in numbers else agreement.power_unit(numbers["power"], numbers["speed"])
+        unit = (
+            ""
+            if chosen["power"].unit or "speed" not in numbers
+            else agreement.power_unit(numbers["power"], numbers["speed"])
+        )
         if unit:
             numbers["power"] = UNITS["power"][unit][0] * numbers["power"]
             reading["power"] = _words("power", chosen["power"], unit)

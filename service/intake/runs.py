@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,9 +13,9 @@ import numpy as np
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.logs import read_log
-from joulemap.model.runs.odometry import Odometry, odometry_run, read_odometry
+from joulemap.model.runs.odometry import Odometry, odometry_run
 from joulemap.model.runs.plausible import implausible
-from joulemap.model.runs.reader import Run, parse_run, run_of
+from joulemap.model.runs.reader import Run, run_of
 from joulemap.model.runs.rolling import cut_travel, rolled_m
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.runs.table_columns import Table
@@ -265,13 +264,11 @@ def _about(
 
 
 def load_kernels() -> None:
-    """Load, or compile, the kernels that reading a run needs."""
-    header = "t,x,y,left_current,right_current,speed_left,speed_right,gps_error"
-    rows = [f"{0.1 * k:.1f},{0.05 * k:.2f},{0.01 * k:.2f},2,-2,0.5,0.4,0.01" for k in range(200)]
-    rows[50] = "5.0,,,2,-2,0.5,0.4,"
-    rows[90] = "9.0,500,500,2,-2,0.5,0.4,0.01"
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "warm-up.csv"
-        file.write_text("\n".join([header, *rows]), encoding="ascii")
-        cut_segments(parse_run(file.read_bytes(), name=file.name), charge=True)
-        cut_travel(read_odometry(file, Odometry(1.0)), charge=True)
+    """Load, or compile, the kernels that reading a run needs. No file is read, because Arrow would start threads."""
+    k = np.arange(200.0)
+    every = {"t": 0.1 * k, "speed_left": 0.0 * k + 0.5, "speed_right": 0.0 * k + 0.4, "gps_error": 0.0 * k + 0.01}
+    every |= {"left_current": 0.0 * k + 2.0, "right_current": 0.0 * k - 2.0, "x": 0.05 * k, "y": 0.01 * k}
+    every["x"][50], every["x"][90] = np.nan, 500.0
+    cut_segments(run_of(dict(every), {}, name="warm-up"), charge=True)
+    odometry = {key: values for key, values in every.items() if key not in ("x", "y")}
+    cut_travel(odometry_run(Table(odometry, {}), Odometry(1.0), name="warm-up", repairs={}), charge=True)

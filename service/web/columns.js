@@ -5,9 +5,9 @@ import { alarm, button, fill, h3, live, make, row, select } from "./dom.js";
 /** What a run needs, how a column of it is often called, and the units that it may be in. */
 const LENGTHS = ["m", "cm", "mm", "km", "ft"], ANGLES = ["deg", "rad", "degE7"];
 const NEEDED = {
-  t: ["Time", /^(t$|time|stamp|sec)/i, ["s", "ms", "us", "ns", "min", "h"]], x: ["x, east", /^(x|east)/i, LENGTHS], y: ["y, north", /^(y|north)/i, LENGTHS],
+  t: ["Time (needed)", /^(t$|time|stamp|sec)/i, ["s", "ms", "us", "ns", "min", "h"]], x: ["x, east", /^(x|east)/i, LENGTHS], y: ["y, north", /^(y|north)/i, LENGTHS],
   lat: ["or latitude", /lat/i, ANGLES], lon: ["and longitude", /lon|lng/i, ANGLES],
-  voltage: ["Voltage", /volt|^u$|^v$|v_?bat/i, ["V", "mV", "cV", "dV"]], current: ["Current", /curr|amp|^i$|i_?bat/i, ["A", "mA", "cA", "dA"]], power: ["or power", /watt|power/i, ["W", "kW", "mW"]],
+  voltage: ["Voltage", /volt|^u$|^v$|v_?bat/i, ["V", "mV", "cV", "dV"]], current: ["Current (or power: needed)", /curr|amp|^i$|i_?bat/i, ["A", "mA", "cA", "dA"]], power: ["or power", /watt|power/i, ["W", "kW", "mW"]],
 };
 
 async function namesIn(file) {
@@ -25,13 +25,14 @@ export async function form(files, send) {
     const guess = names.includes(name) ? name : names.find(one => likely.test(one));
     const list = select([["", "not logged"], ...names.map(one => [one, one])], guess, () => {}, { "aria-label": label });
     const unit = select([["", "auto"], ...units.map(one => [`:${one}`, one])], "", () => {}, { "aria-label": `unit of ${label}` });
-    return { name, label, list, unit };
+    const sign = name === "current" || name === "power" ? select([["", "+ draws"], ["-", "− draws"]], "", () => {}, { "aria-label": `sign of ${label}` }) : null;
+    return { name, label, list, unit, sign };
   });
   const said = live();
   const go = () => {
     const chosen = choices.filter(({ list }) => list.value), twice = chosen.find(({ list }, k) => chosen.slice(0, k).some(other => other.list.value === list.value));
-    if (twice) fill(said, alarm(`The column ${twice.list.value} is chosen twice.`)); else send(chosen.map(({ name, list, unit }) => `${name}=${list.value}${unit.value}`));
+    if (twice) fill(said, alarm(`The column ${twice.list.value} is chosen twice.`)); else send(chosen.map(({ name, list, unit, sign }) => `${name}=${sign?.value ?? ""}${list.value}${unit.value}`));
   };
-  return make("div", { id: "columns" }, h3("Which column is which?"), choices.map(({ label, list, unit }) => make("div", { class: "column" }, make("span", {}, label), list, unit)),
+  return make("div", { id: "columns" }, h3("Which column is which?"), choices.map(({ label, list, unit, sign }) => make("div", { class: "column" }, make("span", {}, label), list, unit, sign)),
     row(button({ class: "main", onclick: go }, "Send with these columns")), said);
 }

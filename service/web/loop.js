@@ -41,7 +41,15 @@ async function upload(files, mapping = []) {
   }
 }
 
-const readOf = ({ runs }) => runs.map(run => make("p", { class: "note" }, make("b", {}, run.name), ` ${number(run.segments, 0)} segments of 1 m; repaired: ${counted(run.repairs)}; left out: ${counted(run.left_out)}`));
+const readOf = ({ runs }) => runs.map(run => make("div", {}, make("p", { class: "note" }, make("b", {}, run.name), ` ${metres(run.metres)} in ${number(run.segments, 0)} segments${run.energy_j === null ? "" : `, ${energy(run.energy_j)}`}; repaired: ${counted(run.repairs)}; left out: ${counted(run.left_out)}`), preview(run)));
+
+/** The first rows as they were understood, and where each column is from. */
+function preview({ name, first_rows: rows, reading, confidence }) {
+  const keys = Object.keys(rows), from = key => `${reading[key] ?? key}${confidence[key] < 0.9 ? `, ${percent(confidence[key])} sure` : ""}`;
+  if (!keys.length) return null;
+  const cells = rows[keys[0]].map((_, k) => keys.map(key => (rows[key][k] === null ? "" : `${+rows[key][k].toPrecision(9)}`)));
+  return make("details", {}, make("summary", {}, "First rows as understood"), table([keys, ...cells], `First rows of ${name}`), note(keys.map(key => `${key}: ${from(key)}`).join("; ")));
+}
 
 async function listRuns(chosen) {
   const here = by("runs-list");

@@ -79,7 +79,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
 
     name = source.name
     content = _utf8(content_of(source), name)
-    separator, header, units, line, start = _header(content, name)
+    separator, header, units, line, start = _header(content, name, limits)
     if separator == " ":
         content, start, line, separator = (
             re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+", b"", content[start:])),
@@ -89,12 +89,15 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         )
     limits.check(content.count(b"\n", start) + (not content.endswith(b"\n")), len(header), name)
     quoted = content.find(b'"', start) >= 0
-    body = _without_headers(memoryview(content)[start:], line)
+    body = _without_headers(content, start, line)
     if quoted:
         body = _closed(bytes(body), name, repairs)
     columns = named(header)
     options = {
-        "read_options": arrow.ReadOptions(column_names=columns, block_size=_BLOCK_BYTES),
+        # a small file needs no threads, and a process that has none may be forked
+        "read_options": arrow.ReadOptions(
+            column_names=columns, block_size=_BLOCK_BYTES, use_threads=len(body) > _BLOCK_BYTES
+        ),
         "parse_options": arrow.ParseOptions(
             delimiter=separator, quote_char='"' if quoted else False, newlines_in_values=quoted
         ),
@@ -115,19 +118,18 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     return Log((stream_of(table, name, limits, dict(zip(columns, units, strict=False))),))
 
 
-def _without_headers(body: memoryview, line: bytes) -> memoryview | bytes:
+def _without_headers(content: bytes, start: int, line: bytes) -> memoryview | bytes:
     """The rows without further lines with the names, as where two logs were joined."""
-    whole = bytes(body)
-    if not line or whole.find(b"\n" + line) < 0:
-        return whole
-    return re.sub(rb"(?m)^" + re.escape(line) + rb" *\n", b"", whole)
+    if not line or content.find(b"\n" + line, start) < 0:
+        return memoryview(content)[start:]
+    return re.sub(rb"(?m)^" + re.escape(line) + rb" *\n", b"", content[start:])
 
 
 def _read(body: memoryview | bytes, options: Mapping[str, object]) -> object:
     import pyarrow as pa
     from pyarrow import csv as arrow
 
-    return arrow.read_csv(pa.BufferReader(body), **options)
+    return arrow.read_csv(pa.BufferReader(pa.py_buffer(body)), **options)
 
 
 def _utf8(content: bytes, name: str) -> bytes:
@@ -161,10 +163,11 @@ def _no_text(name: str, error: Exception) -> RunsError:
     )
 
 
-def _header(content: bytes, name: str) -> tuple[str, list[str], list[str], bytes, int]:
+def _header(content: bytes, name: str, limits: TableLimits) -> tuple[str, list[str], list[str], bytes, int]:
     """(separator, names, units, the line with the names, where the rows begin [bytes])."""
     start = _BEFORE_HEADER.match(content).end()  # type: ignore[union-attr]
     first = content[start : _line_end(content, start)]
+    limits.check(0, max(first.count(mark.encode()) for mark in _SEPARATORS) + 1, name)
     if len(first) > _LONGEST_HEADER:
         raise TooLargeError(
             f"run {name}: its first line has {len(first):,} bytes, the limit is {_LONGEST_HEADER:,}",
@@ -187,7 +190,7 @@ def _header(content: bytes, name: str) -> tuple[str, list[str], list[str], bytes
         )
     separator, usual = _separator([line for line, _ in lines])
     rows = [(_cells(line, separator), after) for line, after in lines]
-    number = next(k for k, (cells, _) in enumerate(rows) if 2 * len(cells) >= usual and any(cells))
+    number = next((k for k, (cells, _) in enumerate(rows) if 2 * len(cells) >= usual and any(cells)), 0)
     header, after = rows[number]
     numbers = [bool(_NUMBER.match(cell)) for cell in header]
     said = content[:start].decode("utf-8", "replace").splitlines()
