@@ -190,7 +190,7 @@ def speed_unit(t: FloatArray, speed: FloatArray, numbers: Mapping[str, FloatArra
 
 
 def power_unit(power: FloatArray, speed: FloatArray) -> str:
-    """Return `kW` for a power that cannot be in watts, because it is less than the air takes at the speed that was driven.
+    """Return `kW` for a power that cannot be in watts, because the air takes more at the speed that was driven.
 
     Parameters
     ----------

@@ -43,29 +43,29 @@ _WORDS: dict[str, frozenset[str]] = {
 
 _OTHER_QUANTITIES = _set(
     "temperature temp rpm erpm torque throttle cadence acceleration accel acc gyro mag pressure humidity duty "
-    "resistance capacity slope frequency freq count id index status state mode error fault flag health cycles efficiency rate pwm "
-    "steering pedal brake angle orientation twist angular rotation gear satellites sats hdop signal "
-    "quality"
+    "resistance capacity slope frequency freq count id index status state mode error fault flag health cycles "
+    "efficiency rate pwm steering pedal brake angle orientation twist angular rotation gear satellites sats hdop "
+    "signal quality"
 )
 """Words of quantities that a run does not need; as the last word of a name they say that it is no other."""
 
 _ABOUT = _set(
-    "gps gnss rtk fix pos pose position odom odometry utm local map world state battery batt bat pack main total tot "
-    "sum setup overall all input in bus dc hv supply system sys sensor measured actual value data inverter vehicle "
-    "car robot base mcu esc vesc of the and today abs log logged header since start device obd traction ground location loc geo "
-    "coordinates point track enhanced is true"
+    "gps gnss rtk fix pos pose position odom odometry utm local map world state battery batt bat pack main total "
+    "tot sum setup overall all input in bus dc hv supply system sys sensor measured actual value data inverter "
+    "vehicle car robot base mcu esc vesc of the and today abs log logged header since start device obd traction "
+    "ground location loc geo coordinates point track enhanced is true"
 )
 """Words that do not change what a column is."""
 
 _NEVER = _set(
-    "min max minimum maximum target set setpoint ref reference limit cmd command commanded desired request requested "
-    "wanted goal home origin waypoint wp dest destination std cov covariance variance accuracy raw delta avg average "
-    "mean peak predicted estimate remaining to empty full per rated nominal"
+    "min max minimum maximum target set setpoint ref reference limit cmd command commanded desired request "
+    "requested wanted goal home origin waypoint wp dest destination std cov covariance variance accuracy raw "
+    "delta avg average mean peak predicted estimate remaining to empty full per rated nominal"
 )
 _ELECTRIC = _set(
-    "motor phase cell cells heater heating heat ac aircon air conditioning aux auxiliary 12 12v lv charger charging "
-    "regen regenerated regenerative brake braking solar pv fan pump servo usb led iq q d axis human rider crank "
-    "mechanical mech factor feedforward led light lights wheel gen generator fuel"
+    "motor phase cell cells heater heating heat ac aircon air conditioning aux auxiliary 12 12v lv charger "
+    "charging regen regenerated regenerative brake braking solar pv fan pump servo usb led iq q d axis human "
+    "rider crank mechanical mech factor feedforward led light lights wheel gen generator fuel"
 )
 _NOT: dict[str, frozenset[str]] = {
     **dict.fromkeys(("voltage", "current", "power"), _NEVER | _ELECTRIC),

@@ -257,9 +257,9 @@ def _choose_electric(stream: Stream, mapping: Mapping[str, str], found: Recognis
     if not replaced("current", mapping) and not of["current"]:
         _take_motors(stream, taken, found)
     tied = {key: _first(each, numbers) for key, each in of.items()}
-    if len(tied["voltage"]) > 1 or len(tied["current"]) > 1:
-        if not _take_agreeing(tied, numbers):
-            _take_packs(tied, found)
+    several = len(tied["voltage"]) > 1 or len(tied["current"]) > 1
+    if several and not _take_agreeing(tied, numbers):
+        _take_packs(tied, found)
     for key, each in tied.items():
         if key in chosen or not each or (found.packs and key in ("voltage", "current")):
             continue
@@ -303,20 +303,19 @@ def _take_agreeing(tied: dict[str, list[Candidate]], numbers: Mapping[str, Float
     return True
 
 
-def _take_packs(tied: Mapping[str, list[Candidate]], found: Recognised) -> bool:
+def _take_packs(tied: Mapping[str, list[Candidate]], found: Recognised) -> None:
     """Pairs of a voltage and a current with the same number."""
     volts, amps = ({each.instance: each for each in tied[key]} for key in ("voltage", "current"))
     same = [key for key in amps if key in volts]
     if len(amps) < 2 or len(amps) != len(tied["current"]) or (len(volts) > 1 and len(same) != len(amps)):
-        return False
+        return
     for instance, amp in amps.items():
         volt = volts[instance] if len(volts) > 1 else next(iter(volts.values()), None)
         if volt is None or not instance:
             found.packs.clear()
-            return False
+            return
         found.packs.append(tuple(Source(((1, each.column),), each.unit) for each in (volt, amp)))  # type: ignore[arg-type]
     found.confidence["power"] = CONFIDENCE[min(each.sureness for each in amps.values())]
-    return True
 
 
 def disagreement(a: FloatArray, b: FloatArray) -> float:
