@@ -8,6 +8,7 @@ outside the time in which power and position are both logged are left out.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from joulemap.model.runs.recognition import replaced
 from joulemap.model.runs.table import LEAST_ROWS, LIMITS, FloatArray, TableLimits, usable
 from joulemap.model.runs.table_columns import Table, add_packs, at_stamps, numbers_of, table_of, without_null_island
 from joulemap.model.runs.units import conversion
+from joulemap.model.runs.unpacking import unpacked
 from joulemap.model.source_file import SourceFile
 
 _POWER = ("power", "current", "voltage")
@@ -65,8 +67,9 @@ def read_log(
         If it is larger than the limits.
     """
     mapping = mapping or {}
-    source = _source(content, name)
+    source = unpacked(_source(content, name))
     kind = _format_of(source)
+    source = replace(source, name=name)
     try:
         log = kind.code.decode(source, mapping=mapping, limits=limits, repairs=repairs)
     except ImportError as error:

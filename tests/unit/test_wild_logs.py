@@ -1,14 +1,17 @@
 """Logs in the shapes that people have: small cases of each kind, and the files of `shared/wild` with their answers."""
 
+import gzip
+import io
 import json
 import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from joulemap.model.errors import RunsError
+from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.names import LIKELY, NAMED, candidate
 from joulemap.model.runs.reader import parse_run
 from joulemap.service.cli import app
@@ -169,6 +172,28 @@ def test_json_of_any_shape(kind):
         "rows": json.dumps([list(plain), *map(list, zip(*plain.values(), strict=True))]),
     }[kind]
     as_it_was(parse_run(text, name="r.json"))
+
+
+def test_a_packed_log_is_unpacked_within_bounds():
+    text = "\n".join(lines(PLAIN)).encode()
+
+    def _zip(**files):
+        out = io.BytesIO()
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in files.items():
+                archive.writestr(name, content)
+        return out.getvalue()
+
+    as_it_was(parse_run(gzip.compress(text), name="r.csv.gz"))
+    as_it_was(parse_run(_zip(log=text), name="r.zip"))
+    with pytest.raises(RunsError, match="holds a, b: unpack it, and give one log"):
+        parse_run(_zip(a=text, b=text), name="r.zip")
+    with pytest.raises(RunsError, match="is a spreadsheet: save the sheet as CSV"):
+        parse_run(_zip(**{"[Content_Types].xml": "x", "sheet": "y"}), name="r.xlsx")
+    with pytest.raises(TooLargeError, match="unpacks to more than"):
+        parse_run(gzip.compress(bytes(100_000_000)), name="r.csv.gz")
+    with pytest.raises(RunsError, match="not a readable archive"):
+        parse_run(_zip(log=text)[:-30], name="r.zip")
 
 
 @pytest.mark.parametrize(

@@ -157,7 +157,13 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
 
 def _odometry_of(sent: Sequence[RunsRow]) -> dict[str, Any] | None:
     """How runs without positions are read, None for runs with positions. Raises InputError if they differ."""
-    first, *others = [run.get("odometry") for row in sent for run in row.stats]
+    every = [run for row in sent for run in row.stats]
+    if any(not run.get("placed", True) and run.get("odometry") is None for run in every):
+        raise InputError(
+            "runs with a distance and no positions lie on no heightmap: `joulemap evaluate --runs` compares them",
+            field="runs",
+        )
+    first, *others = [run.get("odometry") for run in every]
     if any(other != first for other in others):
         raise InputError(
             "calibrate runs with positions, runs without positions, and runs of different track widths separately",
