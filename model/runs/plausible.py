@@ -23,8 +23,8 @@ MOST_A = 1_000.0
 FASTEST_MPS = 70.0
 """250 km/h, at which cars are limited."""
 
-LONGEST_STEP_S = 10.0
-"""Between rows: at a walking pace no metre of ground would have a row of its own."""
+LONGEST_STEP_S, SLOWEST_MPS = 10.0, 0.02
+"""Between rows: at a walking pace no metre of ground would have a row of its own. Where the robot drove, it may be so."""
 
 _DEGREES = 0.1  # a drive of 10 km spans less of both
 
@@ -46,7 +46,7 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
     """
     found = []
     step = float(np.median(np.diff(run.t)))
-    if step > LONGEST_STEP_S:
+    if step > LONGEST_STEP_S and _mean_speed(run) < SLOWEST_MPS:
         found.append(f"from one of its rows to the next it is {step:,.0f} s: is `t` in ms?")
     if run.voltage_v is not None:
         volts, (low, high) = float(np.median(run.voltage_v)), (ROBOT["nominal_voltage_v"].low, 2000.0)
@@ -80,6 +80,11 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
             "m: are `x` and `y` a longitude and a latitude? Then call them `lon` and `lat`"
         )
     return found
+
+
+def _mean_speed(run: Run) -> float:
+    known = np.isfinite(run.x) & np.isfinite(run.y)
+    return float(np.hypot(np.diff(run.x[known]), np.diff(run.y[known])).sum()) / max(float(np.ptp(run.t)), 1e-9)
 
 
 def _current(run: Run) -> list[str]:

@@ -198,7 +198,10 @@ def evaluate(
     *,
     reading: Reading,
 ) -> None:
-    """Measure how well a **model predicts measured runs**, per 1 m segment and over whole runs.
+    """Measure how well a **model predicts measured runs**, per segment and over whole runs.
+
+    Drives with a speed or a distance and no positions need no heightmap: each is compared on a strip with the heights of
+    its log.
 
     Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs logs/*.csv`
     """

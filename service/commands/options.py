@@ -101,12 +101,7 @@ def known_model(name: str | None) -> str | None:
     return name
 
 
-_HEIGHTMAP = typer.Option(
-    "--heightmap",
-    metavar="FILE",
-    callback=there,
-    help="Heightmap that the runs were driven on. Drives without positions, with a speed or a distance, need none.",
-)
+_HEIGHTMAP = typer.Option("--heightmap", metavar="FILE", callback=there, help="Heightmap that the runs were driven on.")
 _RUNS = typer.Option(
     "--runs",
     metavar="FILE...",

@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from joulemap.model.errors import RunsError, TooLargeError
+import joulemap as jm
+from joulemap.model.errors import InputError, RunsError, TooLargeError
+from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.names import LIKELY, NAMED, candidate
+from joulemap.model.runs.profile_ground import ground_of_profile
 from joulemap.model.runs.reader import parse_run
 from joulemap.service.cli import app
 
@@ -172,6 +175,30 @@ def test_json_of_any_shape(kind):
         "rows": json.dumps([list(plain), *map(list, zip(*plain.values(), strict=True))]),
     }[kind]
     as_it_was(parse_run(text, name="r.json"))
+
+
+@pytest.mark.parametrize("irregular", [False, True])
+def test_no_even_drive_has_gaps_at_rows_of_seconds(irregular):
+    t = np.cumsum(np.tile([1.0, 2.0, 5.0, 9.0], 100)) if irregular else np.arange(400.0)
+    run = read(without("x", "t", t=t, x=500_000 + 15.0 * t, power=np.full(400, 4000.0)))
+    segments = cut_segments(run)
+    assert segments.left_out == {}
+    assert segments.driven_m.sum() == pytest.approx(15.0 * np.ptp(t))
+    assert segments.length_m == (135.0 if irregular else 15.0)  # what nine of ten fixes are from the next
+    assert cut_segments(read(PLAIN)).length_m == 1.0
+
+
+def test_a_drive_without_positions_is_compared_on_a_strip_with_its_heights():
+    heights = 100.0 + 5.0 * np.sin((X - X[0]) / 60.0)
+    drive = {key: PLAIN[key] for key in ("t", "voltage", "current")} | {"distance_m": X - X[0], "altitude": heights}
+    run = read(drive)
+    ground = ground_of_profile(run)
+    np.testing.assert_allclose(ground.sample(np.zeros(50), run.y[100:150]), heights[100:150], atol=0.05)
+    found = jm.evaluate(runs=drive, model="physics", robot={"mass_kg": 60, "speed_mps": 2.0}).document
+    assert found["segments"] == pytest.approx(METRES, abs=2)
+    assert found["left_out"] == {}
+    with pytest.raises(InputError, match="has positions: give the heightmap"):
+        jm.evaluate(runs=PLAIN, model="physics")
 
 
 def test_a_packed_log_is_unpacked_within_bounds():
