@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import re
 from collections.abc import Iterable
-from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +19,7 @@ _ISO = re.compile(r"^\d{4}-\d\d?-\d\d?")
 _SPELT = re.compile(r"[A-Za-z]{3}|/|^\d{4}[/.]\d")  # a month as a word, or numbers with other marks between
 
 
-@overload
-def seconds_of(texts: Iterable[str | None]) -> FloatArray: ...
-@overload
-def seconds_of(texts: Iterable[str | None], *, lenient: bool) -> tuple[FloatArray, int]: ...
-
-
-def seconds_of(texts: Iterable[str | None], *, lenient: bool | None = None) -> FloatArray | tuple[FloatArray, int]:
+def seconds_of(texts: Iterable[str | None], *, lenient: bool = False) -> tuple[FloatArray, int]:
     """Return times that were written as text.
 
     Parameters
@@ -39,9 +32,8 @@ def seconds_of(texts: Iterable[str | None], *, lenient: bool | None = None) -> F
 
     Returns
     -------
-    ndarray of float, (n,)
-        Seconds since 1970, or since midnight where there is no date; NaN where blank. With `lenient` also how many are
-        no times.
+    tuple of (ndarray of float, int)
+        Seconds since 1970, or since midnight where there is no date, (n,), NaN where blank; and how many are no times.
 
     Raises
     ------
@@ -68,8 +60,7 @@ def seconds_of(texts: Iterable[str | None], *, lenient: bool | None = None) -> F
                 raise ValueError(k) from None
             wrong += 1
             seconds.append(np.nan)
-    values = np.array(seconds, dtype=np.float64)
-    return values if lenient is None else (values, wrong)
+    return np.array(seconds, dtype=np.float64), wrong
 
 
 def across_midnight(t: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ FASTEST_MPS = 70.0
 """250 km/h, at which cars are limited."""
 
 LONGEST_STEP_S, SLOWEST_MPS = 10.0, 0.02
-"""Between rows: at a walking pace no metre of ground would have a row of its own. Where the robot drove, it may be so."""
+"""Between rows: at a walking pace no metre of ground would have a row of its own. A robot that drove is believed."""
 
 _DEGREES = 0.1  # a drive of 10 km spans less of both
 

@@ -7,22 +7,24 @@ import re
 
 from joulemap.model.errors import RunsError
 
-UNITS: dict[str, dict[str, tuple[float, float]]] = {
-    quantity: {unit: found if isinstance(found, tuple) else (found, 0.0) for unit, found in units.items()}
-    for quantity, units in {
-        "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0},
-        "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3, "km": 1e3, "ft": 0.3048, "mi": 1609.344},
-        "angle": {"deg": 1.0, "rad": math.degrees(1.0), "degE7": 1e-7, "semicircles": 180.0 / 2**31},
-        "voltage": {"V": 1.0, "mV": 1e-3, "cV": 0.01, "dV": 0.1},
-        "current": {"A": 1.0, "mA": 1e-3, "cA": 0.01, "dA": 0.1},
-        "power": {"W": 1.0, "kW": 1e3, "mW": 1e-3},
-        "energy": {"J": 1.0, "kJ": 1e3, "Wh": 3.6e3, "kWh": 3.6e6, "mWh": 3.6},
-        "charge": {"As": 1.0, "Ah": 3.6e3, "mAh": 3.6},
-        "share": {"%": 1.0},
-        "speed": {"m/s": 1.0, "cm/s": 0.01, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0},
-        "temperature": {"degC": 1.0, "degF": (5.0 / 9.0, -160.0 / 9.0), "K": (1.0, -273.15)},
-        "mass": {"kg": 1.0, "g": 1e-3, "lb": 0.45359237},
-    }.items()
+_FACTORS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0},
+    "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3, "km": 1e3, "ft": 0.3048, "mi": 1609.344},
+    "angle": {"deg": 1.0, "rad": math.degrees(1.0), "degE7": 1e-7, "semicircles": 180.0 / 2**31},
+    "voltage": {"V": 1.0, "mV": 1e-3, "cV": 0.01, "dV": 0.1},
+    "current": {"A": 1.0, "mA": 1e-3, "cA": 0.01, "dA": 0.1},
+    "power": {"W": 1.0, "kW": 1e3, "mW": 1e-3},
+    "energy": {"J": 1.0, "kJ": 1e3, "Wh": 3.6e3, "kWh": 3.6e6, "mWh": 3.6},
+    "charge": {"As": 1.0, "Ah": 3.6e3, "mAh": 3.6},
+    "share": {"%": 1.0},
+    "speed": {"m/s": 1.0, "cm/s": 0.01, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0},
+    "temperature": {"degC": 1.0, "degF": 5.0 / 9.0, "K": 1.0},
+    "mass": {"kg": 1.0, "g": 1e-3, "lb": 0.45359237},
+}
+_OFFSETS = {"degF": -160.0 / 9.0, "K": -273.15}
+UNITS = {
+    quantity: {unit: (factor, _OFFSETS.get(unit, 0.0)) for unit, factor in units.items()}
+    for quantity, units in _FACTORS.items()
 }
 """By quantity, the units it may be in, joulemap's own first: value = factor * logged + offset. SI Brochure, 9th ed.;
 feet, pounds and miles are the international ones of 1959."""

@@ -200,8 +200,8 @@ def evaluate(
 ) -> None:
     """Measure how well a **model predicts measured runs**, per segment and over whole runs.
 
-    Drives with a speed or a distance and no positions need no heightmap: each is compared on a strip with the heights of
-    its log.
+    Drives with a speed or a distance and no positions need no heightmap: each is compared on a strip with the heights
+    of its log.
 
     Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs logs/*.csv`
     """
