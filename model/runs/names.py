@@ -21,7 +21,7 @@ def _set(words: str) -> frozenset[str]:
 
 _WORDS: dict[str, frozenset[str]] = {
     "t": _set(
-        "t time timestamp datetime date stamp clock elapsed seconds secs sec ms millis milliseconds us micros "
+        "t ts time timestamp datetime date stamp clock elapsed seconds secs sec ms millis milliseconds us micros "
         "microseconds ns nanoseconds uptime epoch unix utc"
     ),
     "x": _set("x easting utmx"),

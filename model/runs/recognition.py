@@ -26,14 +26,13 @@ from joulemap.model.runs.names import (
     wheel_speed,
 )
 from joulemap.model.runs.table import LEAST_ROWS, FloatArray
-from joulemap.model.runs.units import known_unit, own_unit, quantity_of, unit_in_name
+from joulemap.model.runs.units import known_unit, quantity_of, unit_in_name
 
 CONFIDENCE = {NAMED: 0.99, LIKELY: 0.95, POSSIBLE: 0.7, 0: 0.6}
 """Of a reading by its name alone; 0 is a column that only its unit points to."""
 _MAY_BE_CONSTANT = ("voltage", "z", "soc", "t")
 _BY_UNIT = {"t": ("s", "ms"), "voltage": ("V", "mV"), "current": ("A", "mA"), "speed": ("km/h", "m/s", "mph")}
 _EXAMPLE = {"current": "A", "voltage": "V", "power": "W", "t": "s", "speed": "km/h"}
-_MOTOR_A = ("current_a",)  # beside `current_b` it is no unit
 _AGREE = 0.2  # of power with voltage times current, in the median
 
 
@@ -252,7 +251,7 @@ def _choose_electric(stream: Stream, mapping: Mapping[str, str], found: Recognis
     ]
     if len(parts) > 1:
         of["current"] = [
-            each for each in of["current"] if each.sureness >= LIKELY and each.column.lower() not in _MOTOR_A
+            each for each in of["current"] if each.sureness >= LIKELY and not _is_motor_a(each.column, parts)
         ]
     if not replaced("current", mapping) and not of["current"]:
         _take_motors(stream, taken, found)
@@ -271,12 +270,16 @@ def _choose_electric(stream: Stream, mapping: Mapping[str, str], found: Recognis
             found.questions[key] = _question(key, each)
 
 
+def _is_motor_a(column: str, others: Collection[str]) -> bool:
+    """Whether `current_a` is that of a motor a, beside `current_b`, and no current in A."""
+    return column.lower() == "current_a" and any(other.lower() == "current_b" for other in others)
+
+
 def _take_motors(stream: Stream, taken: Collection[str], found: Recognised) -> None:
     """The currents of motors, where there is none of the battery."""
     own = {column: unit_in_name("current", column) for column in stream.numbers if column.startswith("current_")}
     for column, (stem, unit) in own.items():  # `current_left_mA`: what the name ends with is no motor
-        of_motor_a = unit == own_unit("current") and stem == "current" and len(own) > 1  # beside `current_b`
-        if unit is not None and stem not in stream.numbers and not of_motor_a:
+        if unit is not None and stem not in stream.numbers and not _is_motor_a(column, own):
             found.chosen[stem] = Source(((1, column),), unit)
     if own:
         return

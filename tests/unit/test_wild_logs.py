@@ -161,7 +161,7 @@ def test_degrees_and_minutes_are_read_as_text_and_as_numbers():
         assert np.ptp(run.y) == pytest.approx(ROWS * 8.1e-6 * 110_955, rel=0.01)
 
 
-@pytest.mark.parametrize("kind", ["lines", "records", "columns", "rows"])
+@pytest.mark.parametrize("kind", ["lines", "records", "columns", "rows", "split"])
 def test_json_of_any_shape(kind):
     records = [
         {"time": t, "pos": {"x": x, "y": 4e6}, "battery": {"voltage": v, "current": i}}
@@ -173,6 +173,7 @@ def test_json_of_any_shape(kind):
         "records": json.dumps({"about": {"name": "n"}, "data": {"points": records}}, indent=1),
         "columns": json.dumps({"log": plain}),
         "rows": json.dumps([list(plain), *map(list, zip(*plain.values(), strict=True))]),
+        "split": json.dumps({"columns": list(plain), "data": list(zip(*plain.values(), strict=True))}),
     }[kind]
     as_it_was(parse_run(text, name="r.json"))
 

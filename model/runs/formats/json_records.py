@@ -171,6 +171,11 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
         for item in value[:LEAST_ROWS]:
             yield from _tables(item, depth + 1)
     elif isinstance(value, dict):
+        named = next((item for item in value.values() if isinstance(item, list) and _are_words(item)), [])
+        values = (item for item in value.values() if isinstance(item, list) and len(item) >= LEAST_ROWS)
+        for item in values:  # of columns that are named beside them
+            if isinstance(item[0], list) and len(item[0]) == len(named) and not _are_words(item[0]):
+                yield [dict(zip(named, row, strict=False)) for row in item if isinstance(row, list)]
         lists = {key: item for key, item in value.items() if isinstance(item, list) and len(item) >= LEAST_ROWS}
         lengths = {len(item) for item in lists.values()}
         plain = [key for key, item in lists.items() if not isinstance(item[0], dict | list)]
@@ -180,6 +185,10 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
             yield [{"key": key} | item for key, item in value.items()]
         for item in value.values():
             yield from _tables(item, depth + 1)
+
+
+def _are_words(items: list[Any]) -> bool:
+    return len(items) > 1 and all(isinstance(item, str) for item in items)
 
 
 def _flat(value: Any, front: str = "", depth: int = 0) -> dict[str, Any]:
