@@ -98,7 +98,7 @@ def _seconds(text: str, day_first: bool) -> float:
     if _ISO.match(whole):
         when = dt.datetime.fromisoformat(whole.removesuffix(" UTC"))
     elif _ORDERED.match(whole) or (_SPELT.search(whole) and ":" in whole):
-        from dateutil import parser  # comes with matplotlib
+        from dateutil import parser
 
         when = parser.parse(whole, dayfirst=day_first)
     else:

@@ -2,7 +2,8 @@
 
 Rules, in this order. Their keys in `Run.repairs` are given in brackets; a key is there only if its count is not zero:
 
-1. A last line that breaks off is dropped [truncated_rows]. Any other line of the wrong length is an error.
+1. A last line that breaks off is dropped [truncated_rows]. Other lines are made as long as the header [ragged_rows].
+   Cells that are no numbers [unreadable_current] and marks of unknown values [marks_power] are blank.
 2. Rows without a time are dropped [rows_without_time].
 3. Of the stamps, the longest strictly increasing sequence is kept. A row with the stamp of a kept one is dropped as
    repeated [duplicate_stamps], any other as out of order [backward_stamps]. More than a fifth out of order is an error.
@@ -17,8 +18,8 @@ Rules, in this order. Their keys in `Run.repairs` are given in brackets; a key i
 6. Where a meter is slower than the log, its reading is written again in the next rows [held_voltage, held_current];
    there voltage, current and power change evenly from one reading to the next (`joulemap.model.runs.held_readings`).
    Elsewhere a voltage or current is a spike if it differs from the median of the eleven samples around it by more than
-   six times their spread plus a share of the run's median, a quarter for voltage and one for current [voltage_spikes,
-   current_spikes]. Spikes and blanks [blank_voltage, blank_current] are replaced by straight lines in time.
+   six times their spread plus a share of the run's median, a quarter for voltage and one for current, and the run has
+   no such value elsewhere [voltage_spikes, current_spikes]. Spikes and blanks [blank_voltage, blank_current] are replaced by straight lines in time.
 7. If a single current or power is mostly negative, it counts discharge as negative, and its sign is changed
    [current_sign_flipped, power_sign_flipped]. The currents of several motors are summed with the sign of power; where
    their signs are those of directions, wheel speeds give them that of power [currents_signed_by_wheels], or magnitudes
