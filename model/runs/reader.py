@@ -17,9 +17,10 @@ Rules, in this order. Their keys in `Run.repairs` are given in brackets; a key i
    their ends, where it meets them to half a metre [reckoned_positions].
 6. Where a meter is slower than the log, its reading is written again in the next rows [held_voltage, held_current];
    there voltage, current and power change evenly from one reading to the next (`joulemap.model.runs.held_readings`).
-   Elsewhere a voltage or current is a spike if it differs from the median of the eleven samples around it by more than
-   six times their spread plus a share of the run's median, a quarter for voltage and one for current, and the run has
-   no such value elsewhere [voltage_spikes, current_spikes]. Spikes and blanks [blank_voltage, blank_current] are replaced by straight lines in time.
+   Elsewhere a voltage or current is a spike if it differs from the median of the eleven samples around it by more
+   than six times their spread plus a share of the run's median, a quarter for voltage and one for current, and the
+   run has no such value elsewhere [voltage_spikes, current_spikes]. Spikes and blanks [blank_voltage, blank_current]
+   are replaced by straight lines in time.
 7. If a single current or power is mostly negative, it counts discharge as negative, and its sign is changed
    [current_sign_flipped, power_sign_flipped]. The currents of several motors are summed with the sign of power; where
    their signs are those of directions, wheel speeds give them that of power [currents_signed_by_wheels], or magnitudes
