@@ -120,15 +120,9 @@ def turning_words(trained: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        At the declared speed and, where it differs, on the spot.
+        Part of a sentence.
     """
-    from joulemap.model.energy.drive_costs import DriveCosts
-
-    words = f"{number_words(trained['turn_j_per_rad'])} J/rad more than straight driving, used in plans too"
-    costs = DriveCosts.from_dict(trained["drive_costs"])
-    if costs.eased_turn_j_per_rad:
-        words += f"; {number_words(costs.spot_turn_j_per_rad)} J/rad on the spot"
-    return words
+    return f"{number_words(trained['turn_j_per_rad'])} J/rad more than straight driving, used in plans too"
 
 
 def route_words(route: Mapping[str, Any]) -> str:

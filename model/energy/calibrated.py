@@ -46,6 +46,18 @@ class Correction(Protocol):
         """Whether the base prediction has no scale, so that what is added replaces it."""
 
     @property
+    def alone(self) -> bool:
+        """Whether what is added to plans is all of their energy."""
+
+    @property
+    def scale(self) -> float:
+        """By which the energy of measured runs is multiplied."""
+
+    @property
+    def planner_scale(self) -> float:
+        """By which the energy of plans is multiplied."""
+
+    @property
     def turn_j_per_rad(self) -> float:
         """Cost of turning in plans [J/rad], in addition to the robot's own."""
 
@@ -183,7 +195,9 @@ class CalibratedPredictor(Predictor):
         Robot
             For plans.
         """
-        return replace(robot, turn_j_per_rad=max(robot.turn_j_per_rad + self.correction.turn_j_per_rad, 0.0))
+        learned = getattr(self.base, "robot_with_turning", None)  # of a network, which a calibration adds to
+        known = robot if learned is None else learned(robot)
+        return replace(known, turn_j_per_rad=max(known.turn_j_per_rad + self.correction.turn_j_per_rad, 0.0))
 
     def predict_segments(self, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
         """Predict measured segments from everything that their log says.
@@ -217,8 +231,11 @@ class CalibratedPredictor(Predictor):
 
     def _energy(self, rows: Features, beyond: FloatArray, *, planned: bool) -> FloatArray:
         """(n,) energy of rows; `beyond` is what the base model predicts beside ground and idle power."""
-        start = np.zeros(len(rows)) if self.correction.charge else rows.predicted + beyond
-        return start + self.correction.added_energy(rows, planned=planned)
+        correction = self.correction
+        without = correction.charge or (planned and correction.alone)
+        start = np.zeros(len(rows)) if without else rows.predicted + beyond
+        scale = correction.planner_scale if planned else correction.scale
+        return scale * (start + correction.added_energy(rows, planned=planned))
 
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from joulemap.model.errors import ModelError
 from joulemap.model.robot import Robot
@@ -16,41 +16,10 @@ from joulemap.model.runs.segments import Segments
 
 FloatArray = NDArray[np.float64]
 
-_LEAST_S = 1e-3  # that a segment takes, less than between two readings
-
-HALF_SPEEDS = 2.0
-"""Setting: cruising speeds at which a radian costs half of what it costs on the spot, where turning eases with speed.
-
-Chosen on DRIVE. There a calibration errs by 353 J a metre on runs that were left out, and by 521 J where turning does
-not ease."""
-
-
-def easing(speed_mps: ArrayLike, cruising_mps: float) -> FloatArray:
-    """Return what a radian of turning costs at a speed over what it costs at cruising speed, where it eases with speed.
-
-    Parameters
-    ----------
-    speed_mps : array_like
-        Of the robot [m/s]; 0 on the spot.
-    cruising_mps : float
-        The declared speed [m/s].
-
-    Returns
-    -------
-    ndarray of float64
-        1.5 on the spot, 1 at cruising speed, and less beyond.
-
-    Notes
-    -----
-    A wheel that rolls while it is pushed sideways slips at a smaller angle, where less than its full friction acts. The
-    hyperbola is the simplest curve with that property, and no law.
-
-    References
-    ----------
-    Dugoff, Fancher & Segel 1970, "An analysis of tire traction properties and their influence on vehicle dynamic
-    performance" (the force sideways grows with the angle of slip).
-    """
-    return np.asarray((HALF_SPEEDS + 1.0) / (HALF_SPEEDS + np.asarray(speed_mps, dtype=np.float64) / cruising_mps))
+_NO_LONGER = (
+    "eased_turn_j_per_rad",
+    "speed_mps",
+)  # turning that cost less at speed, which hung on one metre of one log
 
 
 @dataclass(frozen=True)
@@ -62,7 +31,7 @@ class DriveCosts:
     Attributes
     ----------
     turn_j_per_rad : float
-        Energy of turning that is the same at every speed [J/rad].
+        Energy of turning [J/rad].
     driving_w : float, optional
         Power while the robot moves, beyond its declared idle power [W], for the time that it took more, or less, than
         at its declared speed. None where the time of a segment does not count.
@@ -71,27 +40,17 @@ class DriveCosts:
     mass_kg : float
         Of the robot that drove [kg]. Costs of another robot are in proportion to its mass, but for `driving_w`. 0 where
         it is not known: costs are then those of every robot.
-    eased_turn_j_per_rad : float
-        Further energy of turning that is less the faster the robot drives, by `easing`; stated at `speed_mps` [J/rad].
-    speed_mps : float
-        Declared speed of the robot that drove [m/s]; 0 where no turning eases.
     """
 
     turn_j_per_rad: float = 0.0
     driving_w: float | None = None
     speed_up_kg: float = 0.0
     mass_kg: float = 0.0
-    eased_turn_j_per_rad: float = 0.0
-    speed_mps: float = 0.0
 
     def __post_init__(self) -> None:
         numbers = [0.0 if value is None else value for value in asdict(self).values()]
         if not all(isinstance(value, int | float) and math.isfinite(value) for value in numbers):
             raise ModelError(f"the costs of a drive are finite numbers, got {asdict(self)}")
-        if self.eased_turn_j_per_rad and self.speed_mps <= 0.0:
-            raise ModelError(
-                f"turning that costs less at speed needs the speed of the robot that drove, got {self.speed_mps:g} m/s"
-            )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers, JSON-able."""
@@ -114,12 +73,37 @@ class DriveCosts:
         Raises
         ------
         ModelError
-            If the values are no costs.
+            If the values are no costs, or those of a version in which turning could cost less at speed.
         """
+        if values.get(_NO_LONGER[0]):
+            raise ModelError(
+                "turning costs less at speed in this model, which this version of joulemap does not know: train it "
+                "again on the same runs"
+            )
         try:
-            return cls(**values)
+            return cls(**{key: value for key, value in values.items() if key not in _NO_LONGER})
         except TypeError as error:
             raise ModelError(f"the model has no valid costs of driving: {error}") from error
+
+    def scaled(self, factor: float) -> DriveCosts:
+        """Return a multiple of the costs.
+
+        Parameters
+        ----------
+        factor : float
+            Of each.
+
+        Returns
+        -------
+        DriveCosts
+            Of the same robot.
+        """
+        return replace(
+            self,
+            turn_j_per_rad=round(factor * self.turn_j_per_rad, 3),
+            driving_w=None if self.driving_w is None else round(factor * self.driving_w, 3),
+            speed_up_kg=round(factor * self.speed_up_kg, 3),
+        )
 
     def planned_turn_j_per_rad(self, robot: Robot) -> float:
         """Return the energy of turning that a plan counts.
@@ -132,15 +116,9 @@ class DriveCosts:
         Returns
         -------
         float
-            Energy at the robot's declared speed [J/rad].
+            Energy [J/rad].
         """
-        return float(self._turn_j_per_rad(robot, robot.speed_mps))
-
-    @property
-    def spot_turn_j_per_rad(self) -> float:
-        """Energy of turning on the spot of the robot that drove [J/rad]."""
-        eased = self.eased_turn_j_per_rad * float(easing(0.0, self.speed_mps)) if self.eased_turn_j_per_rad else 0.0
-        return self.turn_j_per_rad + eased
+        return self._scale(robot) * self.turn_j_per_rad
 
     def energy_j(self, robot: Robot, segments: Segments) -> FloatArray:
         """Return what measured segments cost beyond going straight ahead at the declared speed.
@@ -158,7 +136,7 @@ class DriveCosts:
             Energy [J].
         """
         scale = self._scale(robot)
-        energy = self._turn_j_per_rad(robot, moving_speed_mps(segments)) * segments.turned_abs_rad
+        energy = scale * self.turn_j_per_rad * segments.turned_abs_rad
         if self.speed_up_kg:
             energy = energy + scale * self.speed_up_kg * segments.gained_m2ps2
         if self.driving_w is not None:
@@ -166,29 +144,8 @@ class DriveCosts:
             energy = energy + self.driving_w * slower_s(robot, segments)
         return np.asarray(energy, dtype=np.float64)
 
-    def _turn_j_per_rad(self, robot: Robot, speed_mps: ArrayLike) -> FloatArray:
-        """Energy at each speed [J/rad]."""
-        eased = self.eased_turn_j_per_rad * easing(speed_mps, self.speed_mps) if self.eased_turn_j_per_rad else 0.0
-        return np.asarray(self._scale(robot) * (self.turn_j_per_rad + eased))
-
     def _scale(self, robot: Robot) -> float:
         return robot.mass_kg / self.mass_kg if self.mass_kg else 1.0
-
-
-def moving_speed_mps(segments: Segments) -> FloatArray:
-    """Return the mean speed of segments, short halts left out.
-
-    Parameters
-    ----------
-    segments : Segments
-        Measured.
-
-    Returns
-    -------
-    ndarray of float64, (n,)
-        Speed [m/s]; near 0 where the robot turns on the spot.
-    """
-    return np.asarray(segments.driven_m / np.maximum(segments.duration_s - segments.standing_s, _LEAST_S))
 
 
 def slower_s(robot: Robot, segments: Segments) -> FloatArray:

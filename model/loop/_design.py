@@ -178,10 +178,13 @@ def _coverage(
     return _covered
 
 
-def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | None = None) -> MixedModel:
+def fit_model(
+    design: Design, chosen: Sequence[Candidate], start: Variation | None = None, *, robust: bool = True
+) -> MixedModel:
     """Fit the variation around a choice of effects: all columns under it.
 
-    start : the variation around another choice, from which the fit starts.
+    start : the variation around another choice, from which the fit starts. robust : with Huber's weights. They make
+    tests powerful, and they pull a mean to the median of skewed errors: coefficients are estimated without them.
     """
     residuals, index = design.residuals, design.index(chosen)
     x, said = design.columns[:, index], residuals.said
@@ -198,6 +201,8 @@ def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | No
         variation = fit_variation(variation, said + grown, z - energy, x)
         if design.first is None:
             level = known + energy
+    if not robust:
+        variation = replace(variation, weight=np.ones_like(variation.weight))
     worth = _prior_rows(design, variation)
     return MixedModel(variation, design.columns, z, level, residuals.unit, worth, whole_runs=residuals.whole_runs)
 

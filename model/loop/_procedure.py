@@ -13,9 +13,13 @@ from joulemap.model.loop._design import make_design
 from joulemap.model.loop._selection import Selection, select
 from joulemap.model.loop.forms._base_parameters import MEASURED_SLOPE
 from joulemap.model.loop.forms.log_faults import LogFault
+from joulemap.model.loop.forms.simple_costs import SimpleCosts
 from joulemap.model.loop.terms import Correction, Effect, Term
 from joulemap.model.runs.features import Drives, FloatArray, driven_ranges
 from joulemap.model.runs.residuals import Residuals
+
+SIMPLE = {"constant": ("length",), "least_squares": ("length", "climb", "turned", "time")}
+"""Columns of simple models by name, each fitted to the same runs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +33,7 @@ class Fitted:
     correction: Correction  # of the base model's prediction, by everything and by what is known before a drive
     base_terms: tuple[Term, ...]  # the base parameters alone, fitted for themselves
     scale: Term | None  # what makes a charge of the base model's prediction before any of this
+    simple: tuple[Term, ...]  # what the calibration competes with: a constant, and few columns
     run_share: float  # standard deviation between runs that no effect explains, as a share of the energy
 
     @property
@@ -37,8 +42,8 @@ class Fitted:
         return self.correction.terms[0]
 
     def states(self, rows: Residuals, *, elsewhere: bool = False) -> dict[str, FloatArray]:
-        """Predictions for some rows, (n,) [J, or A s], by state: before, corrected (with the base parameters), after
-        and after_planner.
+        """Predictions for some rows, (n,) [J, or A s], by state: before, corrected (with the base parameters), after,
+        after_planner, constant and least_squares.
 
         elsewhere : without what belongs to the map on which it was found.
         """
@@ -54,7 +59,7 @@ class Fitted:
             "corrected": _with(self.base_terms),
             "after": _with(self.correction.terms),
             "after_planner": _with(self.correction.planner_terms),
-        }
+        } | {key: term.energy(rows.features) for key, term in zip(SIMPLE, self.simple, strict=True)}
 
 
 def fit(
@@ -90,4 +95,6 @@ def fit(
     correction = Correction(terms, planner_terms, ranges, drives, first, rows.charge)
     ranked = tuple(sorted(effects, key=lambda e: -e.share))
     run_share = float(np.sqrt(estimate.tau2 * selection.model.sigma2(index)))
-    return Fitted(selection, low[fixed], high[fixed], ranked, correction, base_terms, scale, run_share)
+    recent = rows.take(np.flatnonzero(new))
+    simple = tuple(Term(form, form.fitted(recent)) for form in map(SimpleCosts, SIMPLE.values()))
+    return Fitted(selection, low[fixed], high[fixed], ranked, correction, base_terms, scale, simple, run_share)

@@ -77,19 +77,19 @@ class Selection:
         for effect in self.chosen:
             others = self.design.index([c for c in self.chosen if c is not effect])
             more = ((c, self.model.left_out(np.append(others, c.both), tau2) - error) for c in possible)
-            out[effect.form.name] = list(dict.fromkeys(c.form.name for c, gains in more if _within_one_error(gains)))
+            out[effect.form.name] = list(dict.fromkeys(c.form.name for c, gains in more if within_one_error(gains)))
         return {name: rivals for name, rivals in out.items() if rivals}
 
     def estimate(
         self, kept: Sequence[Candidate], without: tuple[str, ...] = ()
     ) -> tuple[Estimate, IntArray, tuple[Term, ...]]:
-        """Fit the base parameters and some effects together: their coefficients, the columns to which these belong,
-        (q,), and the terms as new runs have them.
+        """Fit the base parameters and some effects together: the coefficients of the mean, the columns to which these
+        belong, (q,), and the terms as new runs have them.
 
         without : base parameters that are not fitted.
         """
         design = replace(self.design, without=without)
-        model = fit_model(design, kept, self.model.variation) if without else self.model
+        model = fit_model(design, kept, self.model.variation, robust=False)
         index = design.index(kept)
         estimate = model.estimate(index, design.low[index], design.high[index], design.fixed)
         return estimate, index, self._terms(kept, estimate.coefficients, index)
@@ -131,7 +131,7 @@ class Selection:
         return np.asarray(sum((t.energy(rows) for t in terms), start=said))
 
 
-def _within_one_error(gains: FloatArray) -> bool:
+def within_one_error(gains: FloatArray) -> bool:
     """Whether the sum of differences by unit, (units,), is at most the standard error of the sum."""
     return float(gains.sum()) <= float(gains.std(ddof=1)) * np.sqrt(gains.size)
 
@@ -215,7 +215,7 @@ def _verdict(
         error = float(model.left_out(now, tau2, whole=True).sum())
         gain = max(gain, 1.0 - float(model.left_out(both, tau2, whole=True).sum()) / max(error, 1e-12))
     why_not = ""
-    if _within_one_error(gains):
+    if within_one_error(gains):
         why_not = "its gain on left-out runs is within one standard error of none"
     elif gain < LEAST_GAIN and not replaced:
         why_not = f"it explains less than {LEAST_GAIN:.0%} of the error on left-out runs"
@@ -251,7 +251,7 @@ def _simplest(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Cand
     if not able:
         return None
     top = verdicts[max(able, key=lambda k: verdicts[k].gain)]
-    close = [k for k in able if _within_one_error(top.gains - verdicts[k].gains)]
+    close = [k for k in able if within_one_error(top.gains - verdicts[k].gains)]
 
     def _complexity(k: int) -> tuple[bool, int]:
         unnamed, count = design.candidates[k].complexity

@@ -7,14 +7,20 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from joulemap.model.energy.mean_level import MeanLevel, mean_level
 from joulemap.model.energy.metrics import errors_of
 from joulemap.model.loop._procedure import Fitted, fit
+from joulemap.model.loop._selection import within_one_error
 from joulemap.model.loop.terms import Effect
 from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.refused_columns import refused_columns
 from joulemap.model.runs.residuals import Residuals, joined
+
+PLANS = ("after_planner", "least_squares", "constant", "before")
+"""Predictions that compete for plans."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +36,15 @@ class Calibration:
     baseline : Residuals, optional
         Of the baseline runs.
     errors : dict of str to dict
-        By state: `before`, `corrected` (with the base parameters), `after` and `after_planner`. Each prediction is of a
-        procedure that had no part of the run.
+        By state: `before`, `corrected` (with the base parameters), `after`, `after_planner`, `constant`,
+        `least_squares`, and `proposed`. Each prediction is of a procedure that had no part of the run.
     held_out : dict of str to ndarray of float, (n,)
         The predictions themselves.
+    proposal : str
+        Which of `PLANS` plans use: the first, unless another errs less on left-out runs by more than one standard
+        error. For `proposed` it is chosen without the run.
+    levels : dict of str to MeanLevel
+        Of `after` and of `proposed`: how far sums were off on left-out runs, and what they are multiplied by.
     refused : dict of str to str
         Logged columns that no effect may depend on, and why.
     folds : int
@@ -49,6 +60,8 @@ class Calibration:
     held_out: dict[str, FloatArray] = field(repr=False)
     refused: dict[str, str]
     folds: int
+    proposal: str
+    levels: dict[str, MeanLevel]
     test_errors: dict[str, dict[str, Any]] | None = None
 
     def confirmed(self, state: str = "after") -> bool | None:
@@ -56,8 +69,8 @@ class Calibration:
 
         Parameters
         ----------
-        state : {"after", "after_planner"}
-            With the log of a run, or with what a plan knows too.
+        state : {"after", "proposed"}
+            With the log of a run, or with what is proposed for plans.
 
         Returns
         -------
@@ -65,7 +78,7 @@ class Calibration:
             By the root mean square error; None where every run had a part in the calibration.
         """
         judged = [errors for errors in (self.errors, self.test_errors) if errors is not None]
-        better = all(errors[s]["rmse"] < errors["before"]["rmse"] for errors in judged for s in {"after", state})
+        better = all(errors[state]["rmse"] < errors["before"]["rmse"] for errors in judged)
         return None if better and not self.folds and self.test_errors is None else better
 
     @property
@@ -94,6 +107,8 @@ class Calibration:
             As `errors`.
         """
         states = self.fitted.states(others, elsewhere=elsewhere)
+        states["after"] = self.levels["after"].factor * states["after"]
+        states["proposed"] = self.levels["proposed"].factor * states[self.proposal]
         return {key: errors_of(others, energy) for key, energy in states.items()}
 
 
@@ -155,6 +170,38 @@ def calibrate(
             kept, left_out = rows.take(fold != k), rows.take(fold == k)
             for key, energy in fit(kept, new[fold != k]).states(left_out).items():
                 held[key][own_fold == k] = energy
+    proposal, held["proposed"] = _proposed(measured, held, own_fold)
+    levels = {}
+    for key in ("after", "proposed"):
+        levels[key], held[key] = _levelled(measured, held[key], own_fold)
     errors = {key: errors_of(measured, energy) for key, energy in held.items()}
-    found = Calibration(fitted, measured, base, errors, held, refused, count)
+    found = Calibration(fitted, measured, base, errors, held, refused, count, proposal, levels)
     return found if test is None else replace(found, test_errors=found.errors_on(test))
+
+
+def _proposed(measured: Residuals, held: Mapping[str, FloatArray], fold: NDArray[np.int64]) -> tuple[str, FloatArray]:
+    """Which prediction errs least on left-out runs, and what would have been proposed for each fold without it."""
+    squares = {key: np.where(measured.moving, (measured.measured - held[key]) ** 2, 0.0) for key in PLANS}
+    by_fold = np.stack([np.bincount(fold, weights=squares[key]) for key in PLANS])  # (plans, folds)
+
+    def _best(errors: FloatArray) -> str:
+        """The first one, unless another errs less by more than one standard error."""
+        least = int(np.argmin(errors.sum(axis=1)))
+        return PLANS[0 if within_one_error(errors[0] - errors[least]) else least]
+
+    proposed = np.empty(len(measured))
+    for k in range(by_fold.shape[1]):
+        proposed[fold == k] = held[_best(np.delete(by_fold, k, axis=1))][fold == k]
+    return _best(by_fold), proposed
+
+
+def _levelled(measured: Residuals, said: FloatArray, fold: NDArray[np.int64]) -> tuple[MeanLevel, FloatArray]:
+    """How far sums are off on left-out runs, and predictions multiplied by what the other folds say of that."""
+
+    def _level(some: NDArray[np.bool_]) -> MeanLevel:
+        return mean_level(measured.measured[some], said[some], measured.unit[some])
+
+    level, out = _level(measured.moving), said.copy()
+    for k in range(int(fold.max()) + 1 if level.factor != 1.0 else 0):
+        out[fold == k] *= _level(measured.moving & (fold != k)).ratio
+    return level, out

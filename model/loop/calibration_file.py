@@ -100,6 +100,9 @@ def _written(correction: Correction) -> dict[str, Any]:
         "conditions": dict(correction.conditions),
         "evidence": [dict(e) for e in correction.evidence],
         "spread": None if correction.spread is None else correction.spread.as_dict(),
+        "scale": correction.scale,
+        "planner_scale": correction.planner_scale,
+        "alone": correction.alone,
     }
 
 
@@ -116,6 +119,9 @@ def _read(values: Mapping[str, Any]) -> Correction:
             dict(values["conditions"]),
             list(values["evidence"]),
             None if values["spread"] is None else Spread.from_dict(values["spread"]),
+            float(values.get("scale", 1.0)),
+            float(values.get("planner_scale", 1.0)),
+            bool(values.get("alone", False)),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"a calibration is not complete: {error!r}") from error

@@ -52,7 +52,10 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
         "baseline_runs": found.baseline is not None,
         "error": dict(found.errors),
         "confirmed": found.confirmed(),
-        "confirmed_in_plans": found.confirmed("after_planner"),
+        "confirmed_in_plans": found.confirmed("proposed"),
+        "proposal": found.proposal,
+        "level_ground": bool(getattr(fitted.base.form, "level", False)),
+        "mean": {key: level.as_dict() for key, level in found.levels.items()},
         "base_parameters": _base_parameters(found),
         "effects": [_effect(found, e) for e in found.effects],
         "variation": {

@@ -107,6 +107,10 @@ class Correction:
         The report's effects, JSON-able.
     spread : Spread, optional
         Error of the calibrated model on left-out runs. Its factor is that on `std_of_segments`.
+    scale, planner_scale : float
+        By which the energy of measured runs, and of plans, is multiplied so that sums of left-out runs agree.
+    alone : bool
+        Whether the terms of plans are all of the energy, without the base model.
     """
 
     terms: tuple[Term, ...]
@@ -119,6 +123,9 @@ class Correction:
     conditions: Mapping[str, float] = field(default_factory=dict)
     evidence: Sequence[Mapping[str, Any]] = ()
     spread: Spread | None = None
+    scale: float = 1.0
+    planner_scale: float = 1.0
+    alone: bool = False
 
     @property
     def effects(self) -> list[dict[str, Any]]:
@@ -129,6 +136,8 @@ class Correction:
     def only_in_logs(self) -> list[str]:
         """Titles of the effects that no plan contains, because only a log records what they depend on."""
         planned = {t.form.name for t in self.planner_terms}
+        if self.alone:
+            return []
         return [t.form.title for t in self.terms if t.form.name not in planned and t.form.on_map]
 
     def added_energy(self, rows: Features, *, planned: bool) -> FloatArray:
@@ -145,9 +154,11 @@ class Correction:
         -------
         ndarray of float, (n,)
             Energy [J], or charge [A s], of rows that are held within the ranges and have the base parameters in their
-            energy of motion.
+            energy of motion. Of plans with `alone` it is all of the energy.
         """
         terms = self.planner_terms if planned else self.terms
+        if planned and self.alone:
+            return _total(terms, rows)
         first = self.first_base
         level = first is not None and isinstance(first.form, BaseParameters) and first.form.level
         held = (rows.tilted(-rows.grade) if level else rows).within(

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
-from scipy.special import huber
 
-from joulemap.model.energy.drive_costs import DriveCosts, easing, moving_speed_mps
+from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
 
@@ -18,8 +17,6 @@ FloatArray = NDArray[np.float64]
 _HUBER = 3.0
 """Residuals beyond so many standard deviations count linearly (Huber 1981). A setting: 0.3 % of normal ones do."""
 _PASSES = 10  # of reweighting; the coefficients no longer move in their third digit
-_FOLDS = 5  # parts of the runs, for the choice whether turning eases with speed (Kohavi 1995)
-_FEWEST_RUNS = 3  # of fewer, stretches of the runs are left out
 _LEAST_SHARE = 0.2  # of the mean energy: the least that a segment's variance grows with
 SHIPPED_RUN_SHARE = 0.186
 """Standard deviation of the level of a run over the rolling resistance: that of the shipped network on other sites.
@@ -137,7 +134,6 @@ class CostFit:
             "climb": self.climb,
             "shape": self.shape,
             "turn": self.costs.turn_j_per_rad / mass,
-            "eased_turn": self.costs.eased_turn_j_per_rad / mass,
             "slower": self.costs.driving_w or 0.0,
             "speed_up": self.costs.speed_up_kg / mass,
         }
@@ -160,46 +156,15 @@ def fit_costs(rows: CostRows) -> CostFit:
     Notes
     -----
     energy = price(traction + level * weight + climb * weight * tan grade + shape * its part for the shape) * driven
-    + idle * (time - driven / speed) + driving_w * slower
-    + (turn + eased_turn * easing(speed)) * turned + speed_up_kg * gained. Residuals have a variance
-    in proportion to the energy and count by Huber's loss. Bounds are physical: no energy comes from turning or speeding
-    up, no power below zero, no rolling resistance below zero, and speeding up costs at most twice the kinetic energy.
-    Normal priors keep what the runs do not show near what is declared. Runs differ in level by a random effect, which
-    predictions of other runs do not have. Whether turning eases with speed is decided by runs that are left out.
+    + idle * (time - driven / speed) + driving_w * slower + turn * turned + speed_up_kg * gained. Residuals have a
+    variance in proportion to the energy and count by Huber's loss; `measured_runs` puts the mean right. Bounds are
+    physical: no energy comes from turning or speeding up, no power below zero, no rolling resistance below zero, and
+    speeding up costs at most twice the kinetic energy. Normal priors keep what the runs do not show near what is
+    declared. Runs differ in level by a random effect, which predictions of other runs do not have.
     """
     known = np.isfinite(rows.traction_per_m + rows.shape_per_m + rows.tan_grade) & np.isfinite(rows.segments.energy_j)
     rows = rows.take(known)
-    return _fit(rows, eases=_easing_pays(rows))
-
-
-def _easing_pays(rows: CostRows) -> bool:
-    """Whether turning that eases with speed makes the loss on left-out runs less by more than one standard error of
-    that difference (Hastie, Tibshirani & Friedman 2009, section 7.10).
-    """
-    runs, number = np.unique(rows.segments.run, return_inverse=True)
-    if runs.size < _FEWEST_RUNS:  # stretches take the place of runs
-        number = np.arange(len(number)) * _FOLDS // max(len(number), 1)
-    gained = np.zeros(number.max(initial=-1) + 1)
-    for fold in range(_FOLDS):
-        out = number % _FOLDS == fold
-        if out.all() or not out.any():
-            continue
-        energy = rows.segments.energy_j[out]
-        steady, eased = (_fit(rows.take(~out), eases=eases).predict_j(rows.take(out)) for eases in (False, True))
-        root = np.sqrt(_scale_j(steady, energy))
-        sigma = _sigma(np.abs(energy - steady) / root) * root
-        less = huber(_HUBER, (energy - steady) / sigma) - huber(_HUBER, (energy - eased) / sigma)
-        np.add.at(gained, number[out], less)
-    return bool(gained.size > 1 and gained.mean() > gained.std(ddof=1) / np.sqrt(gained.size))
-
-
-def _sigma(scaled: FloatArray) -> float:
-    """Standard deviation of normal residuals with these magnitudes, whatever the outliers are."""
-    return max(1.4826 * float(np.median(scaled)), 1e-9)
-
-
-def _fit(rows: CostRows, *, eases: bool) -> CostFit:
-    names, found = _coefficients(rows, eases=eases)
+    names, found = _coefficients(rows)
     value = dict(zip(names, found.tolist(), strict=True))
     mass = rows.robots[0].mass_kg
     costs = DriveCosts(
@@ -207,17 +172,14 @@ def _fit(rows: CostRows, *, eases: bool) -> CostFit:
         driving_w=round(value["slower"], 3),
         speed_up_kg=round(mass * value["speed_up"], 3),
         mass_kg=mass,
-        eased_turn_j_per_rad=round(mass * value["eased_turn"], 3) if eases else 0.0,
-        speed_mps=rows.robots[0].speed_mps if eases else 0.0,
     )
     return CostFit(costs, value["level"], value["climb"], value["shape"])
 
 
-def _coefficients(rows: CostRows, *, eases: bool) -> tuple[list[str], FloatArray]:
+def _coefficients(rows: CostRows) -> tuple[list[str], FloatArray]:
     """Names and coefficients."""
-    names = [name for name in _design(rows)[1] if eases or name != "eased_turn"]
+    names = _design(rows)[1]
     low, high, centre, spread = _priors(rows, names)
-    terms = len(names)
     runs = np.unique(rows.segments.run)
     own = (rows.segments.run[:, None] == runs) if runs.size > 1 else np.zeros((len(rows.segments), 0))
     deviation = SHIPPED_RUN_SHARE * float(np.mean(rows.of_robot("rolling_resistance")))
@@ -228,11 +190,11 @@ def _coefficients(rows: CostRows, *, eases: bool) -> tuple[list[str], FloatArray
     energy = rows.segments.energy_j
     for _ in range(_PASSES):
         design, _, known_j = _design(rows, *found[:3])
-        columns = np.concatenate([design[:, :terms], design[:, :1] * own], axis=1)  # each run has a level of its own
+        columns = np.concatenate([design, design[:, :1] * own], axis=1)  # each run has a level of its own
         predicted = known_j + columns @ found
         root = 1.0 / np.sqrt(_scale_j(predicted, energy))
         scaled = np.abs(energy - predicted) * root
-        sigma = _sigma(scaled)
+        sigma = max(1.4826 * float(np.median(scaled)), 1e-9)
         weight = root / sigma * np.sqrt(np.minimum(1.0, _HUBER * sigma / np.maximum(scaled, 1e-12)))
         scaled_rows = np.concatenate([columns * weight[:, None] * spread, np.eye(spread.size)])
         target = np.concatenate([(energy - known_j - columns @ centre) * weight, np.zeros(spread.size)])
@@ -240,7 +202,7 @@ def _coefficients(rows: CostRows, *, eases: bool) -> tuple[list[str], FloatArray
         small = np.asarray(np.linalg.qr(tall, mode="r"))  # the same least squares in few rows
         bounds = (low - centre) / spread, (high - centre) / spread
         found = centre + spread * lsq_linear(small[:, :-1], small[:, -1], bounds=bounds).x
-    return names, found[:terms]
+    return names, found[: len(names)]
 
 
 def _design(
@@ -266,7 +228,6 @@ def _design(
         "turn": mass * s.turned_abs_rad,
         "slower": s.duration_s - s.standing_s - s.driven_m / speed,
         "speed_up": mass * s.gained_m2ps2,
-        "eased_turn": mass * easing(moving_speed_mps(s), rows.robots[0].speed_mps) * s.turned_abs_rad,
     }
     return np.stack(list(terms.values()), axis=1), list(terms), known_j
 
@@ -284,7 +245,6 @@ def _priors(rows: CostRows, names: list[str]) -> tuple[FloatArray, FloatArray, F
         "climb": (-1.0, 1.0, 0.0, 0.3),
         "shape": (-1.0, 1.0, 0.0, 0.5),
         "turn": (declared, np.inf, 0.0, arm),
-        "eased_turn": (0.0, np.inf, 0.0, arm),
         "slower": (idle, np.inf, 0.0, max(usual_w, 1.0)),
         "speed_up": (0.0, _MOST_SPEED_UP, 1.0, 1.0),
     }

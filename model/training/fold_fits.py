@@ -58,6 +58,8 @@ class Judged:
         Of the ground [J/m].
     costs : DriveCosts
         Of all runs: what the model keeps.
+    beside_j : ndarray of float, (n,)
+        Declared energy of idle power and turning, which is in `energy_j` [J].
     """
 
     index: NDArray[np.int64]
@@ -66,6 +68,28 @@ class Judged:
     std_j: FloatArray | None
     traction_per_m: FloatArray
     costs: DriveCosts
+    beside_j: FloatArray
+
+    def scaled(self, factor: float) -> Judged:
+        """Return what a model would say that asks for so many times as much beside what is declared.
+
+        Parameters
+        ----------
+        factor : float
+            Of the traction and of the costs.
+
+        Returns
+        -------
+        Judged
+            Its standard deviations are multiplied too.
+        """
+        return replace(
+            self,
+            energy_j=self.beside_j + factor * (self.energy_j - self.beside_j),
+            std_j=None if self.std_j is None else factor * self.std_j,
+            traction_per_m=factor * self.traction_per_m,
+            costs=self.costs.scaled(factor),
+        )
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -212,12 +236,13 @@ class FoldFits:
         stds = [said[2] for said in self._said if said[2] is not None]
         std = np.concatenate(stds)[order] if len(stds) == len(self._said) else None
         segments = self.measured.segments.take(index[order])
+        beside = self._declared_j()[index[order]]
         if self._rows is not None:
-            return Judged(index[order], segments, energy, std, traction, fit_costs(self._rows).costs)
+            return Judged(index[order], segments, energy, std, traction, fit_costs(self._rows).costs, beside)
         turned = segments.turned_abs_rad - self.domain.turned_rad
         turn = _turning(segments, energy, turned)
         costs = DriveCosts(turn_j_per_rad=turn)
-        return Judged(index[order], segments, energy + turn * turned, std, traction, costs)
+        return Judged(index[order], segments, energy + turn * turned, std, traction, costs, beside)
 
     def baseline_errors(self, known: NDArray[np.bool_]) -> dict[str, dict[str, Any]]:
         """Return the errors of simple models on the segments of `judged`.
@@ -309,6 +334,15 @@ class FoldFits:
             ends = {key: np.quantile(values, (_SHOWN, 1.0 - _SHOWN)) for key, values in shown.items() if values.size}
             domain = replace(domain, driven={k: (round(float(a), 4), round(float(b), 4)) for k, (a, b) in ends.items()})
         return domain if parent is None else parent.domain.joined(domain)
+
+    def _declared_j(self) -> FloatArray:
+        """Declared energy of idle power and turning, (n,)."""
+        segments, robots = self.measured.segments, [site.robot for site in self.measured.sites]
+        idle, turn = (
+            np.array([getattr(r, key) for r in robots])[self.measured.site]
+            for key in ("idle_power_w", "turn_j_per_rad")
+        )
+        return np.asarray(idle * segments.duration_s + turn * segments.turned_abs_rad)
 
     def _grade(self, number: int) -> FloatArray:
         s = self.measured.segments.take(self.measured.on(number))

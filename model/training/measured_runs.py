@@ -13,6 +13,7 @@ from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE, find_archi
 from joulemap.model.energy.architectures.contract import check_start
 from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.artifact import read_artifact, save_artifact
+from joulemap.model.energy.mean_level import MeanLevel, mean_level
 from joulemap.model.energy.residuals_of_runs import keep_base_runs
 from joulemap.model.energy.uncertainty import FEWEST, Spread, fit_spread
 from joulemap.model.errors import InputError
@@ -59,6 +60,8 @@ class TrainedModel:
     baselines : dict of str to dict
         Errors of simple models on the same segments, each fitted without the run that it predicts, as
         `evaluation.errors`.
+    mean : MeanLevel
+        Measured over predicted energy of the held-out runs before the model was multiplied by the factor.
     coverage : dict
         Metres driven, used, and left out by reason, as `Segments.coverage`.
     warnings : list of str
@@ -76,6 +79,7 @@ class TrainedModel:
     keeps_runs: bool
     drive_costs: dict[str, Any]
     baselines: dict[str, dict[str, Any]]
+    mean: MeanLevel
     coverage: dict[str, Any]
     warnings: list[str]
 
@@ -201,8 +205,15 @@ def train_on_sites(
     else:
         net, passes = fits.fit(options, progress)
     judged = fits.judged()
-    costs = judged.costs
     known = judged.known
+    level = mean_level(
+        judged.segments.energy_j[known],
+        judged.energy_j[known],
+        fits.part[judged.index][known],
+        beside=judged.beside_j[known],
+    )
+    judged, net = judged.scaled(level.factor), kind.scaled(net, level.factor)
+    costs = judged.costs
     held_out = named(
         errors(judged.energy_j[known], judged.segments.energy_j[known], judged.segments.run[known]),
         measured.segments.runs,
@@ -226,6 +237,7 @@ def train_on_sites(
         **runs_record(measured.runs),
         "held_out_runs": names,
         "held_out": held_out,
+        "mean": level.as_dict(),
         "baselines": baselines,
         "coverage": segments.coverage(),
         "warnings": warnings,
@@ -257,6 +269,7 @@ def train_on_sites(
         keeps_runs,
         costs.as_dict(),
         baselines,
+        level,
         segments.coverage(),
         warnings,
     )

@@ -149,8 +149,7 @@ Runs {", ".join(training["held_out_runs"])}, each predicted by a fit that had no
 {table}
 
 ## Costs beside the ground
-Turning costs {costs.turn_j_per_rad + costs.eased_turn_j_per_rad:.4g} J/rad at the declared speed, in plans too, and
-{costs.spot_turn_j_per_rad:.4g} J/rad on the spot.
+Turning costs {costs.turn_j_per_rad:.4g} J/rad, in plans too.
 Speeding up costs {costs.speed_up_kg:.4g} J for each m2/s2 of half the squared speed.
 Driving takes {costs.driving_w or 0.0:.4g} W beyond the declared idle power, for the time beyond that at the declared
 speed.

@@ -16,6 +16,7 @@ from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import ConflictError, InfeasibleError, InputError
+from joulemap.model.loop._procedure import SIMPLE
 from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.loop.calibration_file import save_calibrated
 from joulemap.model.loop.report import report_document
@@ -132,12 +133,14 @@ def calibrate_on_runs(
         cross_validate=cross_validate,
         progress=_part(progress, _READ, _CALIBRATED),
     )
-    correction = correction_of(found, measured.std, groups)
+    correction = correction_of(
+        found, measured.std, groups, declared_turn=planning_robot(predictor, runs.robot).turn_j_per_rad
+    )
     version = _write(begun, model, predictor, correction)
     after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
     ground = measured.main.heightmap
     routes, why_not = None, "the runs have no positions"
-    if found.confirmed("after_planner") is False:
+    if found.confirmed("proposed") is False:
         why_not = "the calibrated model is not confirmed for plans"
     elif runs.placed:
         try:
@@ -283,7 +286,9 @@ def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
         )
 
 
-def correction_of(found: Calibration, std_j: FloatArray, groups: Sequence[str] | None = None) -> Correction:
+def correction_of(
+    found: Calibration, std_j: FloatArray, groups: Sequence[str] | None = None, *, declared_turn: float = 0.0
+) -> Correction:
     """Return what a calibration adds to its base model.
 
     Parameters
@@ -294,6 +299,8 @@ def correction_of(found: Calibration, std_j: FloatArray, groups: Sequence[str] |
         Standard deviation of the base model for each of the calibration's rows [J].
     groups : sequence of str, optional
         Of each run, such as its campaign: what was left out together.
+    declared_turn : float
+        Cost of turning in plans with the base model [J/rad].
 
     Returns
     -------
@@ -302,20 +309,28 @@ def correction_of(found: Calibration, std_j: FloatArray, groups: Sequence[str] |
     """
     rows, moving = found.residuals.features, found.residuals.moving
     conditions = {k: float(np.nanmean(v)) for k, v in rows.columns.items() if np.isfinite(v).any()}
-    measured_j, said_j = (
-        rows.unit_j * energy for energy in (found.residuals.measured, found.held_out["after_planner"])
-    )
+    unit_j = rows.unit_j
+    measured_j, said_j = (unit_j * energy for energy in (found.residuals.measured, found.held_out["proposed"]))
     judged = moving & np.isfinite(measured_j) & np.isfinite(said_j) & (std_j > 0.0)
     run, spread = rows.run[judged], None
     if judged.sum() >= FEWEST:
         group = None if groups is None or not found.residuals.whole_runs else np.asarray(groups)[run]
         spread = fit_spread(measured_j[judged], said_j[judged], std_j[judged], run, group=group)
+    correction = found.fitted.correction
+    turned = unit_j * turning_per_rad(correction.planner_terms, rows)
+    simple = dict(zip(SIMPLE, found.fitted.simple, strict=True)).get(found.proposal)
+    factor = found.levels["proposed"].factor
+    if simple is not None:
+        correction = replace(correction, planner_terms=(simple,), alone=True)
+        turned = unit_j * simple.by_name.get("turned", 0.0) - declared_turn
     return replace(
-        found.fitted.correction,
-        turn_j_per_rad=rows.unit_j * turning_per_rad(found.fitted.correction.planner_terms, rows),
+        correction,
+        turn_j_per_rad=factor * (turned + declared_turn) - declared_turn,
         conditions=conditions,
         evidence=[{"name": e.term.form.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
         spread=spread,
+        scale=found.levels["after"].factor,
+        planner_scale=factor,
     )
 
 

@@ -103,6 +103,62 @@ def error_words(document: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+_PLANS = {
+    "after_planner": "the calibrated model",
+    "least_squares": "least squares of length, climb, turned angle and time",
+    "constant": "a constant energy per metre",
+    "before": "the model before",
+}
+
+
+def plan_words(document: Mapping[str, Any]) -> list[str]:
+    """Return what plans are made with, and why; and whether it is right on average.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        Sentences, with the errors of all that was tried on the same metres.
+    """
+    error, chosen = document["error"], document["proposal"]
+    size = {key: f"{number_words(error[key]['rmse'])} {unit_of(document)}" for key in _PLANS}
+    others = ", ".join(f"{size[key]} of {words}" for key, words in _PLANS.items() if key != chosen)
+    why = "errs least" if error[chosen]["rmse"] <= min(error[key]["rmse"] for key in _PLANS) else "is not surely worse"
+    what = f"Plans use {_PLANS[chosen]}, which {why}: {size[chosen]} root mean square {validation_words(document)}"
+    choice = f" With the choice itself left to other runs it is {number_words(error['proposed']['rmse'])}."
+    differs = error["proposed"]["rmse"] != error[chosen]["rmse"]
+    lines, level = [f"{what}, against {others}.{choice if differs else ''}"], document["mean"]["proposed"]
+    if level["std"] is None:  # one run alone says nothing
+        return lines
+    ratio, error = percent(level["ratio"]), percent(level["std"])
+    what = f"The measured energy is {ratio} of the predicted one (standard error {error})"
+    if level["factor"] == 1.0:
+        return [*lines, f"Right on average: {what[0].lower()}{what[1:]}, which is no difference."]
+    return [*lines, f"WARNING: {what}: all predictions of plans are multiplied by {level['factor']:.3f}."]
+
+
+def level_words(document: Mapping[str, Any]) -> list[str]:
+    """Return what runs on level ground do not say.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        A sentence; none where the runs have slopes.
+    """
+    if not document["level_ground"]:
+        return []
+    return ["All runs are on level ground, which says nothing of slopes: a climb costs what the model before says."]
+
+
 def advice(document: Mapping[str, Any]) -> str:
     """Return whether to keep the model before.
 
@@ -126,7 +182,7 @@ def _worse_words(document: Mapping[str, Any]) -> list[str]:
     """A warning where other runs are predicted no better than before."""
     if not (words := advice(document)):
         return []
-    state = "after" if document["confirmed"] is False else "after_planner"
+    state = "after" if document["confirmed"] is False else "proposed"
     judged = [part["error"] for part in (document.get("test_set"), document) if part]
     sizes = ", and ".join(
         f"{number_words(error[state]['rmse'])} against {number_words(error['before']['rmse'])} {unit_of(document)}"

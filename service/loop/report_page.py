@@ -18,6 +18,8 @@ from joulemap.service.loop.effect_words import coefficient_words, found_words, i
 from joulemap.service.loop.error_words import (
     error_states,
     error_words,
+    level_words,
+    plan_words,
     site_words,
     unit_of,
     validation_words,
@@ -115,12 +117,13 @@ def _runs_of_main(document: Mapping[str, Any]) -> list[str] | None:
 def _lead(document: Mapping[str, Any], steps: Sequence[NextStep]) -> str:
     """What was found, how much better the model is, and what to do next."""
     first, *rest = found_words(document)
-    words = f"<p>{_text(first)}</p>"
+    words = "".join(f"<p>{_text(sentence)}</p>" for sentence in (*level_words(document), first))
     if rest:
         words += "<ul>" + "".join(f"<li>{_text(sentence)}</li>" for sentence in rest) + "</ul>"
     words += f"<p>{_text(variation_words(document))}</p>"
     words += "".join(f"<p>{_text(sentence)}</p>" for sentence in site_words(document))
-    words += "".join(f"<p{_loud(sentence)}>{_text(sentence)}</p>" for sentence in error_words(document))
+    told = (*error_words(document), *plan_words(document))
+    words += "".join(f"<p{_loud(sentence)}>{_text(sentence)}</p>" for sentence in told)
     if steps:
         words += "<p>Next:</p>" + "".join(
             f'<p>{escape(step.purpose)}:<code class="command">{escape(step.command)}</code></p>' for step in steps

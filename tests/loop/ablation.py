@@ -81,7 +81,7 @@ RULES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
     "tests between runs": lambda: patch.object(mixed_model.MixedModel, "test_between", lambda *_given: 1.0),
     "the least gain on left-out runs": lambda: patch.object(selection, "LEAST_GAIN", 0.0),
     "the standard error of a gain": lambda: patch.object(
-        selection, "_within_one_error", lambda gains: gains.sum() <= 0.0
+        selection, "within_one_error", lambda gains: gains.sum() <= 0.0
     ),
     "the simplest within one standard error": lambda: patch.object(selection, "_simplest", _largest_gain),
     "forms with a name first": _together,

@@ -58,7 +58,8 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
     assert report["target"] == "energy_j"
     assert {"fit", "held_out"} == set(report["segments"])
     assert report["validation"] == {"folds": 4, "left_out": "runs", "whole_procedure": True}
-    assert set(report["error"]) == {"before", "corrected", "after", "after_planner"}
+    simple = {"constant", "least_squares", "proposed"}
+    assert set(report["error"]) == {"before", "corrected", "after", "after_planner"} | simple
     assert {"mean_relative", "absolute_share", "rmse", "bias"} <= set(report["error"]["before"])
     assert report["base_parameters"][0]["name"] == "rolling_resistance"
     assert {"collinear", "shadows", "baseline_corrections", "base_corrections"}.isdisjoint(report)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from joulemap.model.energy.drive_costs import DriveCosts, easing
+from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.errors import ModelError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
@@ -69,21 +69,6 @@ def test_what_was_put_in_is_found_with_another_rolling_resistance_than_declared(
     assert fit.costs.driving_w == pytest.approx(20.0, rel=0.1)
     assert fit.costs.speed_up_kg == pytest.approx(70.0, rel=0.15)
     assert fit.level == pytest.approx(0.05, abs=0.004)
-
-
-def test_turning_that_costs_less_at_speed_is_told_from_turning_that_does_not():
-    truth = replace(COSTS, turn_j_per_rad=20.0, eased_turn_j_per_rad=60.0, speed_mps=0.5)
-    fit = fit_costs(rows_of(drives(6000), costs=truth))
-    for speed_mps in (0.1, 0.5, 1.0):
-        asked = replace(ROBOT, speed_mps=speed_mps)
-        said, true = (costs.planned_turn_j_per_rad(asked) for costs in (fit.costs, truth))
-        assert said == pytest.approx(true, rel=0.08)
-    steady = fit_costs(rows_of(drives(6000))).costs
-    assert steady.planned_turn_j_per_rad(replace(ROBOT, speed_mps=1.0)) == pytest.approx(50.0, rel=0.1)
-
-
-def test_a_radian_on_the_spot_costs_half_as_much_again_as_at_cruising_speed():
-    np.testing.assert_allclose(easing([0.0, 0.5, 1.0], 0.5), [1.5, 1.0, 0.75])
 
 
 def test_what_costs_nothing_stays_within_bounds():

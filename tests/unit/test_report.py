@@ -21,7 +21,7 @@ from joulemap.service.loop.base_words import base_name, base_words
 from joulemap.service.loop.calibration import Calibrated, campaigns_of
 from joulemap.service.loop.deprecated_keys import with_former_keys
 from joulemap.service.loop.effect_words import confounded_words, found_words
-from joulemap.service.loop.error_words import error_states, error_words, variation_words
+from joulemap.service.loop.error_words import error_states, error_words, plan_words, variation_words
 from joulemap.service.loop.next_drive import NextDrive, next_drive
 from joulemap.service.loop.next_words import NextStep, drive_words, likeliest
 from joulemap.service.loop.report_figures import LEAST_SPAN, change_scale
@@ -149,7 +149,8 @@ def test_base_parameters_are_declared_and_measured(turning):
     assert [words for words in named if " " not in words] == []  # every parameter has words
 
 
-SIZES = {"before": 0.124, "corrected": 0.107, "after": 0.096, "after_planner": 0.099}
+SIZES = {"before": 0.124, "corrected": 0.107, "after": 0.096, "after_planner": 0.099, "proposed": 0.099}
+SIMPLE = {"least_squares": 0.15, "constant": 0.3}
 
 
 def errors(sizes):
@@ -194,12 +195,12 @@ def test_test_runs_come_first(turning):
         ({}, 4, None, True, True),
         ({}, 0, None, None, None),
         ({}, 0, {}, True, True),
-        ({"after": 0.13}, 4, None, False, False),
-        ({"after": 0.13}, 0, None, False, False),
-        ({"after_planner": 0.13}, 4, None, True, False),
-        ({"after": 0.124, "after_planner": 0.124}, 4, None, False, False),  # as good is not better
-        ({}, 4, {"after": 0.13}, False, False),
-        ({}, 4, {"after_planner": 0.13}, True, False),
+        ({"after": 0.13}, 4, None, False, True),
+        ({"after": 0.13}, 0, None, False, None),
+        ({"proposed": 0.13}, 4, None, True, False),
+        ({"after": 0.124, "proposed": 0.124}, 4, None, False, False),  # as good is not better
+        ({}, 4, {"after": 0.13}, False, True),
+        ({}, 4, {"proposed": 0.13}, True, False),
     ],
 )
 def test_a_model_is_confirmed_where_runs_that_had_no_part_are_predicted_better(
@@ -215,13 +216,47 @@ def test_a_model_is_confirmed_where_runs_that_had_no_part_are_predicted_better(
 )
 def test_a_model_that_is_not_confirmed_is_not_to_be_used(turning, state, said):
     assert "keep the model" not in " ".join(summary_lines(turning.document))
-    worse = turning.document | {"error": errors(SIZES | {"after": 0.2, "after_planner": 0.3}), state: False}
+    worse = turning.document | {"error": errors(SIZES | SIMPLE | {"after": 0.2, "proposed": 0.3}), state: False}
     made = Calibrated(worse, turning.found, None, LEVEL)
     assert headline(worse).startswith(f"Found: turning. {said}")
     assert headline(worse).endswith("keep the model that you have.")
     warning = next(line for line in error_words(worse) if line.startswith("WARNING"))
     assert f"({20 if state == 'confirmed' else 30} against 12.4 J root mean square)" in warning
     assert headline(worse) in shown(report_page(made))
+
+
+@pytest.mark.parametrize(
+    ("sizes", "proposal", "said"),
+    [
+        ({}, "after_planner", "Plans use the calibrated model, which errs least: 9.9 J root mean square"),
+        (
+            {"least_squares": 0.05, "proposed": 0.06},
+            "least_squares",
+            "Plans use least squares of length, climb, turned angle and time, which errs least: 5 J root mean square",
+        ),
+        ({"least_squares": 0.098}, "after_planner", "Plans use the calibrated model, which is not surely worse: 9.9 J"),
+    ],
+)
+def test_what_plans_use_is_said_beside_what_it_was_compared_with(turning, sizes, proposal, said):
+    told = turning.document | {"error": errors(SIZES | SIMPLE | sizes), "proposal": proposal}
+    first, second = plan_words(told)
+    assert first.startswith(said)
+    assert "30 J of a constant energy per metre" in first
+    assert "12.4 J of the model before" in first
+    assert ("left to other runs it is 6." in first) == (proposal == "least_squares")
+    assert second.startswith("Right on average: the measured energy is ")
+    low = {"proposed": {"ratio": 1.2, "std": 0.01, "factor": 1.2}}
+    assert plan_words(told | {"mean": low})[1] == (
+        "WARNING: The measured energy is 120.0 % of the predicted one (standard error 1.0 %): all predictions of plans "
+        "are multiplied by 1.200."
+    )
+    assert first in shown(report_page(Calibrated(told, turning.found, None, LEVEL)))
+
+
+def test_level_ground_is_said_in_the_first_lines(turning):
+    level = turning.document | {"level_ground": True}
+    assert "nothing of slopes" in summary_lines(level)[1]
+    assert "nothing of slopes" in shown(report_page(Calibrated(level, turning.found, None, LEVEL)))
 
 
 def test_errors_of_the_fit_are_said_to_be_that(nothing):

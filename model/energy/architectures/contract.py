@@ -65,7 +65,7 @@ class TrainingDefaults:
 class Architecture(ABC, Generic[Net]):
     """One kind of network. The project asks this class and never the type of a network.
 
-    A new architecture defines `name`, `size` and the four abstract methods; the others have defaults. An architecture
+    A new architecture defines `name`, `size` and the five abstract methods; the others have defaults. An architecture
     has no state: it is made anew wherever it is needed.
 
     Attributes
@@ -250,6 +250,23 @@ class Architecture(ABC, Generic[Net]):
             By default the same one: training must then learn all of it.
         """
         return net
+
+    @abstractmethod
+    def scaled(self, net: Net, factor: float) -> Net:
+        """Return a network that asks for more, or less, of everything.
+
+        Parameters
+        ----------
+        net : Network
+            Of this architecture; it is not changed.
+        factor : float
+            By which its traction, or its energy where it knows no traction, is multiplied.
+
+        Returns
+        -------
+        Network
+            A copy.
+        """
 
     def device(self) -> torch.device:
         """Return where networks of this architecture are trained and asked: the processor."""

@@ -8,6 +8,7 @@ IV-B.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -258,6 +259,12 @@ class ResNet18(Architecture[ResNetEnergy]):
             net.target_mean = torch.as_tensor(float(scaled.mean()))
             net.target_scale = torch.tensor(max(float(scaled.std()), 1e-6))
         return net
+
+    def scaled(self, net: ResNetEnergy, factor: float) -> ResNetEnergy:  # numpydoc ignore=PR01,RT03
+        """Return a network with more energy, as `Architecture.scaled`."""
+        other = deepcopy(net)
+        other.target_mean, other.target_scale = factor * net.target_mean, factor * net.target_scale
+        return other
 
     def device(self) -> torch.device:
         """Return the graphics processor where torch has one."""

@@ -19,6 +19,7 @@ from joulemap.model.loop.forms.payload import Payload
 from joulemap.model.loop.forms.power_limit import PowerLimit
 from joulemap.model.loop.forms.reversing import Reversing
 from joulemap.model.loop.forms.roughness import Roughness
+from joulemap.model.loop.forms.simple_costs import SimpleCosts
 from joulemap.model.loop.forms.speed import Speed
 from joulemap.model.loop.forms.structure import Curve, PlaceField
 from joulemap.model.loop.forms.temperature import Temperature
@@ -55,7 +56,7 @@ NOT_OF_SLOPE: tuple[type[Form], ...] = (Turning, Speed, CrossSlope, Roughness, R
 UNNAMED: tuple[type[Form], ...] = (Curve,)
 """Structure without a formula."""
 
-_EVERY: tuple[type[Form], ...] = (*NAMED, *CHANGES, *UNNAMED, BaseParameters)
+_EVERY: tuple[type[Form], ...] = (*NAMED, *CHANGES, *UNNAMED, BaseParameters, SimpleCosts)
 FORMS: dict[str, type[Form]] = {form.key: form for form in _EVERY}
 """Every form by its key."""
 

@@ -136,6 +136,10 @@ class Compact(Architecture["CompactNet"]):
         """Return a network with another traction, as `Architecture.adapted`."""
         return net.adapted(level=level, climb=climb, shape=shape)
 
+    def scaled(self, net: CompactNet, factor: float) -> CompactNet:  # numpydoc ignore=PR01,RT03
+        """Return a network with more traction, as `Architecture.scaled`."""
+        return net.scaled(factor)
+
     def predictor(
         self,
         net: CompactNet,

@@ -148,6 +148,27 @@ class CompactNet(Network):
             other.rest.bias.add_(level / REST_SCALE)
         return other
 
+    def scaled(self, factor: float) -> CompactNet:
+        """Return a copy whose traction is a multiple.
+
+        Parameters
+        ----------
+        factor : float
+            As `Architecture.scaled`.
+
+        Returns
+        -------
+        CompactNet
+            The copy.
+        """
+        other = deepcopy(self)
+        with torch.no_grad():
+            for layer in (other.gains, other.rest):
+                for parameter in layer.parameters():
+                    parameter.mul_(factor)
+            other.gains.bias.add_(factor - 1.0)  # gains are added to 1
+        return other
+
     def read_robot(self, features: Tensor) -> RobotCode:
         """Turn the robot's features into scales, shifts and gains.
 

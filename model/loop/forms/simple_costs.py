@@ -1,0 +1,54 @@
+"""Costs of length, climb, turned angle and time: least squares, with which a calibration competes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from joulemap.model.loop.forms.base import Form
+from joulemap.model.runs.features import Features, FloatArray
+from joulemap.model.runs.residuals import Residuals
+
+_COLUMNS: dict[str, tuple[str, float, Callable[[Features], FloatArray]]] = {
+    "length": ("{E}/m", -np.inf, lambda rows: rows.length_m),
+    "climb": ("{E}/m", 0.0, lambda rows: rows.grade * rows.length_m),
+    "turned": ("{E}/rad", 0.0, lambda rows: rows.turned_abs_rad),
+    "time": ("{P}", -np.inf, lambda rows: rows.duration_s),
+}
+"""Unit, lower limit, and values by name."""
+
+
+@dataclass(frozen=True)
+class SimpleCosts(Form):
+    """In place of a base model and of all effects; `names` are those of the columns."""
+
+    names: tuple[str, ...] = tuple(_COLUMNS)
+
+    key = "simple_costs"
+    label = "costs of length, climb, turned angle and time"
+    meaning = "cost of each"
+    unit = ""
+    reveals = "climbs, curves and several speeds"
+
+    def coefficient_names(self) -> tuple[str, ...]:
+        return self.names
+
+    def units(self, energy: str) -> tuple[str, ...]:
+        power = "W" if energy == "J" else "A"
+        return tuple(_COLUMNS[name][0].format(E=energy, P=power) for name in self.names)
+
+    def columns(self, rows: Features) -> FloatArray:
+        return np.stack([np.nan_to_num(_COLUMNS[name][2](rows)) for name in self.names], axis=1)
+
+    def fitted(self, rows: Residuals) -> tuple[float, ...]:
+        """Coefficients by least squares over all metres. On level ground a climb costs the declared weight."""
+        metres = rows.take(rows.moving)
+        x = self.columns(metres.features)
+        low = np.array([_COLUMNS[name][1] for name in self.names])
+        found = lsq_linear(x, metres.measured, bounds=(low, np.inf)).x
+        if "climb" in self.names and not metres.features.grades.any():
+            found[self.names.index("climb")] = rows.features.robot.weight_n / rows.features.unit_j
+        return tuple(found.tolist())

@@ -1,0 +1,100 @@
+"""Real robots beside simple least squares, on the very same metres: `python -m tests.loop.rivals`.
+
+Whole runs, and whole campaigns, are left out of everything: of the calibration and of the least squares. The columns of
+these are what an engineer writes down first: length, climb, turned angle, and time.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.loop.calibrate import Calibration, calibrate
+from joulemap.model.robot import Robot
+from joulemap.model.runs.calibration_runs import CalibrationRuns, read_odometry_runs
+from joulemap.model.runs.odometry import Odometry
+from joulemap.model.runs.residuals import Residuals
+from joulemap.service.loop.measured import measure
+from tests.coverage.real import cuadriga, drive, real_folder
+
+FloatArray = NDArray[np.float64]
+Read = Callable[[Path], tuple[CalibrationRuns, list[str]]]
+
+
+def husky(folder: Path) -> tuple[CalibrationRuns, list[str]]:
+    """All runs without positions; a campaign is a kind of ground."""
+    files = sorted((folder / "husky").glob("*.csv"))
+    runs = read_odometry_runs(files, Odometry(1.07, terrain_from_name=True), Robot())
+    return runs, [name.rpartition("_")[0] for name in runs.segments.runs]
+
+
+REAL: dict[str, Read] = {"drive": drive, "cuadriga": cuadriga, "husky": husky}
+
+
+def columns_of(rows: Residuals) -> FloatArray:
+    """Length, climb, turned angle and time of each row, (n, 4)."""
+    of = rows.features
+    return np.stack([of.length_m, of.grade * of.length_m, of.turned_abs_rad, of.duration_s], axis=1)
+
+
+def least_squares(rows: Residuals, fold: NDArray[np.int64], count: int) -> FloatArray:
+    """What the first `count` columns say of each metre, fitted to the metres of all other folds, (n,)."""
+    columns, out = columns_of(rows)[:, :count], np.full(len(rows), np.nan)
+    for k in np.unique(fold):
+        known = rows.moving & (fold != k)
+        found = np.linalg.lstsq(columns[known], rows.measured[known], rcond=None)[0]
+        out[fold == k] = columns[fold == k] @ found
+    return out
+
+
+def rmse(rows: Residuals, said: FloatArray, mine: NDArray[np.bool_] | bool = True) -> float:
+    """Root mean square error over metres."""
+    return float(np.sqrt(np.mean((rows.measured - said)[rows.moving & mine] ** 2)))
+
+
+def lines_of(name: str, found: Calibration, fold: NDArray[np.int64]) -> list[str]:
+    """Errors of all predictions, the run that became worst, and the sum of the predictions."""
+    rows, held, runs = found.residuals, found.held_out, np.unique(found.residuals.run)
+    said = held | {"three columns": least_squares(rows, fold, 3), "four columns": least_squares(rows, fold, 4)}
+    cells = {f"{name} left out": f"{np.sqrt(np.mean(rows.measured[rows.moving] ** 2)):.4g}"}
+    cells |= {key: f"{rmse(rows, energy):.4g}" for key, energy in said.items()}
+    for key in ("after", "after_planner", "proposed"):
+        by_run = [rmse(rows, said[key], rows.run == k) / rmse(rows, said["before"], rows.run == k) for k in runs]
+        total = said[key][rows.moving].sum() / rows.measured[rows.moving].sum() - 1.0
+        worse = sum(ratio > 1.05 for ratio in by_run)
+        cells[f"{key}: worst run, sum"] = f"{max(by_run):.2f} ({worse} of {len(runs)}), {total:+.1%}"
+    best = min(rmse(rows, said[key]) for key in ("three columns", "four columns"))
+    cells["proposed / best columns"] = f"{rmse(rows, said['proposed']) / best:.2f}"
+    effects = ", ".join(e.term.form.name for e in found.effects) or "nothing"
+    lines = [f"| {' | '.join(row)} |" for row in (cells, ["---"] * len(cells), cells.values())]
+    return [*lines, "", f"named: {effects}; plans use {found.proposal}"]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.loop.rivals", description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", default=["drive", "cuadriga"], help=f"of {', '.join(REAL)}")
+    parser.add_argument("--left-out", default="runs,campaigns")
+    options = parser.parse_args(arguments)
+    folder = real_folder()
+    if folder is None:
+        parser.error("there are no real runs here (set JOULEMAP_REAL_DATA to their folder)")
+    for name in options.names:
+        runs, campaigns = REAL[name](folder)
+        measured = measure("physics", PhysicsPredictor(), runs)
+        for left_out in options.left_out.split(","):
+            groups = campaigns if left_out == "campaigns" else None
+            if groups is not None and len(set(groups)) == len(groups):
+                continue  # every run is a campaign
+            fold = measured.residuals.folds(groups)
+            found = calibrate(measured.residuals, electric=measured.electric, groups=groups)
+            print("\n".join([*lines_of(f"{name}, {left_out}", found, fold), ""]), flush=True)
+
+
+if __name__ == "__main__":
+    main()

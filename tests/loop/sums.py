@@ -1,0 +1,117 @@
+"""Are predicted energies right on average? `python -m tests.loop.sums --cases 4`.
+
+A network is fine-tuned (`train`), and `physics` is calibrated, on runs of a generated case. Each predicts further runs
+on the same site and on another. A route is a sum, so that the sum of the predictions counts beside the error per metre.
+Noise differs from case to case: plain, heavy-tailed, and with disturbances that only ever cost more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.predictor import SHIPPED_WEIGHTS, load_predictor
+from joulemap.model.energy.residuals_of_runs import residuals_on
+from joulemap.model.loop.calibrate import calibrate
+from joulemap.model.training.evaluation import evaluate_on_runs
+from joulemap.model.training.measured_runs import train_on_runs
+from tests.loop.calibrator import segments_of
+from tests.loop.generators.case import Case, make_case
+from tests.loop.generators.config import CaseConfig, DriveConfig, NoiseConfig, RobotConfig
+
+NOISES = {
+    "plain": NoiseConfig(white_sd=0.08),
+    "heavy tails": NoiseConfig(white_sd=0.08, freedom=3.0),
+    "disturbances": NoiseConfig(hit_share=0.05),
+    "serial": NoiseConfig(white_sd=0.0, serial_sd=0.08),
+}
+
+
+def case_of(number: int, seed: int, *, runs: int, length_m: float) -> tuple[str, Case]:
+    """A case without hidden effects, and the name of its noise."""
+    name = list(NOISES)[number % len(NOISES)]
+    robot = replace(RobotConfig(), declared_off=0.10 * (number % 2))
+    config = CaseConfig(
+        robot=robot,
+        noise=NOISES[name],
+        drive=DriveConfig(length_m=length_m),
+        new_runs=runs,
+        base_runs=0,
+        test_runs=3,
+        other_runs=3,
+    )
+    return name, make_case(config, seed)
+
+
+def errors_of_training(case: Case) -> list[tuple[float, float]]:
+    """Sum of the predictions over that of the measured, minus 1, and error per metre: same site, other site."""
+    with tempfile.TemporaryDirectory() as folder:
+        there = Path(folder)
+        case.write(there)
+        ground = case.new.site.heightmap
+        train_on_runs(
+            ground,
+            case.declared,
+            sorted((there / "new").glob("*.csv")),
+            out=there / "made",
+            start_from=Path(str(SHIPPED_WEIGHTS)),
+        )
+        made = load_predictor(there / "made")
+        out = []
+        assert case.other is not None
+        for heightmap, name in ((ground, "test"), (case.other.site.heightmap, "other_site")):
+            found = evaluate_on_runs(made, heightmap, case.declared, sorted((there / name).glob("*.csv")))
+            mean_j = found["mean_absolute_error_j"] / found["error_share"]
+            out.append((-found["bias_j"] / mean_j, found["error_share"]))
+    return out
+
+
+def errors_of_calibration(case: Case) -> list[tuple[float, float]]:
+    """The same of `physics` after a calibration."""
+    physics, out = PhysicsPredictor(), []
+    measured, electric, _ = residuals_on(
+        physics, case.new.site.heightmap, case.declared, segments_of(case.new.logs, case.declared)
+    )
+    found = calibrate(measured, electric=electric, cross_validate=False)
+    assert case.other is not None
+    for place in (case.test, case.other):
+        rows, *_ = residuals_on(physics, place.site.heightmap, case.declared, segments_of(place.logs, case.declared))
+        said = found.fitted.states(rows, elsewhere=place is case.other)["after_planner"][rows.moving]
+        energy = rows.measured[rows.moving]
+        out.append((said.sum() / energy.sum() - 1.0, np.abs(said - energy).sum() / energy.sum()))
+    return out
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.loop.sums", description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=4)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--runs", type=int, default=6)
+    parser.add_argument("--length", type=float, default=150.0)
+    parser.add_argument("--what", default="train,calibrate")
+    options = parser.parse_args(arguments)
+    print("| noise | model | sum, same site | other | error per metre, same | other |\n|---|---|---|---|---|---|")
+    kinds = {"train": errors_of_training, "calibrate": errors_of_calibration}
+    every: dict[str, list[float]] = {}
+    for number in range(options.cases):
+        name, case = case_of(number, options.first_seed + number, runs=options.runs, length_m=options.length)
+        for what in options.what.split(","):
+            found = kinds[what](case)
+            every.setdefault(what, []).append([*(bias for bias, _ in found), *(error for _, error in found)])
+            cells = [f"{bias:+.1%}" for bias, _ in found] + [f"{error:.2%}" for _, error in found]
+            print(f"| {name} | {what} | {' | '.join(cells)} |", flush=True)
+    for what, rows in every.items():
+        print(
+            f"| mean of {len(rows)} | {what} | " + " | ".join(f"{value:+.2%}" for value in np.mean(rows, axis=0)) + " |"
+        )
+
+
+if __name__ == "__main__":
+    main()
