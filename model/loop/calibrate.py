@@ -75,10 +75,14 @@ class Calibration:
         Returns
         -------
         bool or None
-            By the root mean square error; None where every run had a part in the calibration.
+            By the root mean square error, which is less by more than one standard error on left-out runs; None where
+            every run had a part in the calibration.
         """
         judged = [errors for errors in (self.errors, self.test_errors) if errors is not None]
         better = all(errors[state]["rmse"] < errors["before"]["rmse"] for errors in judged)
+        before, after = (_squares(self.residuals, self.held_out[key]) for key in ("before", state))
+        gains = np.bincount(self.residuals.unit, weights=before - after)
+        better = better and not (self.folds and within_one_error(gains))
         return None if better and not self.folds and self.test_errors is None else better
 
     @property
@@ -170,19 +174,23 @@ def calibrate(
             kept, left_out = rows.take(fold != k), rows.take(fold == k)
             for key, energy in fit(kept, new[fold != k]).states(left_out).items():
                 held[key][own_fold == k] = energy
-    proposal, held["proposed"] = _proposed(measured, held, own_fold)
-    levels = {}
-    for key in ("after", "proposed"):
+    proposal, held["proposed"] = _proposed(measured, held, own_fold) if count else (PLANS[0], held[PLANS[0]])
+    levels = dict.fromkeys(("after", "proposed"), MeanLevel())
+    for key in levels if count else ():  # sums of the runs that were fitted to agree
         levels[key], held[key] = _levelled(measured, held[key], own_fold)
     errors = {key: errors_of(measured, energy) for key, energy in held.items()}
     found = Calibration(fitted, measured, base, errors, held, refused, count, proposal, levels)
     return found if test is None else replace(found, test_errors=found.errors_on(test))
 
 
+def _squares(measured: Residuals, said: FloatArray) -> FloatArray:
+    """Squared errors of metres, (n,)."""
+    return np.where(measured.moving, (measured.measured - said) ** 2, 0.0)
+
+
 def _proposed(measured: Residuals, held: Mapping[str, FloatArray], fold: NDArray[np.int64]) -> tuple[str, FloatArray]:
     """Which prediction errs least on left-out runs, and what would have been proposed for each fold without it."""
-    squares = {key: np.where(measured.moving, (measured.measured - held[key]) ** 2, 0.0) for key in PLANS}
-    by_fold = np.stack([np.bincount(fold, weights=squares[key]) for key in PLANS])  # (plans, folds)
+    by_fold = np.stack([np.bincount(fold, weights=_squares(measured, held[key])) for key in PLANS])  # (plans, folds)
 
     def _best(errors: FloatArray) -> str:
         """The first one, unless another errs less by more than one standard error."""

@@ -157,10 +157,12 @@ class Correction:
             energy of motion. Of plans with `alone` it is all of the energy.
         """
         terms = self.planner_terms if planned else self.terms
-        if planned and self.alone:
-            return _total(terms, rows)
         first = self.first_base
         level = first is not None and isinstance(first.form, BaseParameters) and first.form.level
+        if planned and self.alone:  # of slopes that no run has shown, the base model knows what they cost
+            flat = rows.tilted(-rows.grade) if level else rows
+            held = flat.within({name: ends for name, ends in self.ranges.items() if name == "speed"})
+            return _total(terms, held) + rows.predicted - flat.predicted
         held = (rows.tilted(-rows.grade) if level else rows).within(
             {name: ends for name, ends in self.ranges.items() if name not in self.of_laws}
         )

@@ -122,8 +122,10 @@ def plan_words(document: Mapping[str, Any]) -> list[str]:
     Returns
     -------
     list of str
-        Sentences, with the errors of all that was tried on the same metres.
+        Sentences, with the errors of all that was tried on the same metres; none where no run was left out.
     """
+    if not document["validation"]["whole_procedure"]:
+        return []
     error, chosen = document["error"], document["proposal"]
     size = {key: f"{number_words(error[key]['rmse'])} {unit_of(document)}" for key in _PLANS}
     others = ", ".join(f"{size[key]} of {words}" for key, words in _PLANS.items() if key != chosen)

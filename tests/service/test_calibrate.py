@@ -329,11 +329,11 @@ def test_a_model_that_is_not_confirmed_is_not_proposed(tmp_path):
     done = runner.invoke(app, ["calibrate", *options])
     assert done.exit_code == 0, done.output
     report = json.loads((out / "report.json").read_text())
-    assert report["error"]["after"]["rmse"] >= report["error"]["before"]["rmse"]
-    assert (report["confirmed"], report["confirmed_in_plans"]) == (False, False)
+    assert report["error"]["after"]["rmse"] > 0.99 * report["error"]["before"]["rmse"]
+    assert report["confirmed_in_plans"] is False
     assert report["route"] == {"why_not": "the calibrated model is not confirmed for plans"}
     for said in (done.output, (out / "report.html").read_text()):
-        assert "Not confirmed: keep the model that you have" in shown(said)
+        assert "Not confirmed for plans: keep the model that you have" in shown(said)
         assert "joulemap costmap" not in said
         assert "joulemap path" not in said
 
@@ -480,4 +480,5 @@ def test_beyond_the_speeds_of_the_runs_map_route_and_verdict_warn_and_nothing_is
         [ground.robot.price_per_m(usual.segment_traction(ground_of(field), ground.robot, x, y, h)) for h in AROUND]
     )
     slow = np.mean([own.price_per_m(usual.segment_traction(ground_of(field), own, x, y, h)) for h in AROUND])
-    assert price - ground.robot.hotel_per_m > 0.5 * (slow - own.hotel_per_m) > 0.0
+    # the power of driving is drawn for a third of the time
+    assert price - ground.robot.hotel_per_m > 0.3 * (slow - own.hotel_per_m) > 0.0

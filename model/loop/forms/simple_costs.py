@@ -16,7 +16,7 @@ _COLUMNS: dict[str, tuple[str, float, Callable[[Features], FloatArray]]] = {
     "length": ("{E}/m", -np.inf, lambda rows: rows.length_m),
     "climb": ("{E}/m", 0.0, lambda rows: rows.grade * rows.length_m),
     "turned": ("{E}/rad", 0.0, lambda rows: rows.turned_abs_rad),
-    "time": ("{P}", -np.inf, lambda rows: rows.duration_s),
+    "time": ("{P}", -np.inf, lambda rows: np.where(rows.standing, rows.duration_s, rows.length_m / rows.speed_mps)),
 }
 """Unit, lower limit, and values by name."""
 
@@ -44,11 +44,8 @@ class SimpleCosts(Form):
         return np.stack([np.nan_to_num(_COLUMNS[name][2](rows)) for name in self.names], axis=1)
 
     def fitted(self, rows: Residuals) -> tuple[float, ...]:
-        """Coefficients by least squares over all metres. On level ground a climb costs the declared weight."""
+        """Coefficients by least squares over all metres."""
         metres = rows.take(rows.moving)
         x = self.columns(metres.features)
         low = np.array([_COLUMNS[name][1] for name in self.names])
-        found = lsq_linear(x, metres.measured, bounds=(low, np.inf)).x
-        if "climb" in self.names and not metres.features.grades.any():
-            found[self.names.index("climb")] = rows.features.robot.weight_n / rows.features.unit_j
-        return tuple(found.tolist())
+        return tuple(lsq_linear(x, metres.measured, bounds=(low, np.inf)).x.tolist())
