@@ -123,6 +123,7 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], first: Term) -> De
     parameters = base.columns(rows)
     coverage = _coverage(residuals, parameters, new) if compared else None
     blocks, candidates, count = [parameters], [], len(base.names)
+    energy = np.maximum(np.abs(residuals.measured), np.abs(residuals.said))[new]
     low, high = [base.lowest(rows)], [np.full(count, np.inf)]
 
     def _add(form: Form, columns: FloatArray, shared: IntArray, *, new_only: bool) -> None:
@@ -132,8 +133,9 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], first: Term) -> De
         beside = count + columns.shape[1] + np.arange(len(shared))
         candidates.append(Candidate(form, tested, beside, shared, new_only))
         count += columns.shape[1] + len(shared)
-        for limits, limit, free in ((low, form.low, -np.inf), (high, form.high, np.inf)):
-            limits.append(np.repeat([limit, free], [len(tested), len(beside)]))
+        most = _most(columns[new], energy) if form.on_map else np.full(len(tested), np.inf)
+        low.append(np.append(np.maximum(form.low, -most), np.full(len(shared), -np.inf)))
+        high.append(np.append(np.minimum(form.high, most), np.full(len(shared), np.inf)))
 
     for form in (form for kind in kinds for form in kind.variants(shown.take(np.flatnonzero(new)))):
         columns = form.columns(rows)
@@ -154,6 +156,14 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], first: Term) -> De
             _add(form, columns, np.flatnonzero(coverage(columns)), new_only=True)
     ends, values = (np.concatenate(low), np.concatenate(high)), np.asarray(first.coefficients)
     return Design(residuals, new, np.concatenate(blocks, axis=1), *ends, base, tuple(candidates), first=values)
+
+
+def _most(columns: FloatArray, energy: FloatArray) -> FloatArray:
+    """Largest size of each coefficient, (k,): an effect neither takes nor gives back more than all the energy, (n,), of
+    the rows in which it is at work.
+    """
+    size = np.abs(columns)
+    return np.asarray(((size > 0.0) * energy[:, None]).sum(axis=0) / np.maximum(size.sum(axis=0), 1e-300))
 
 
 def _coverage(

@@ -17,6 +17,7 @@ from joulemap.model.loop._design import Candidate, Design, fit_model
 from joulemap.model.loop._mixed_model import Estimate, IntArray, MixedModel
 from joulemap.model.loop.forms import UNNAMED
 from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters, with_forces
+from joulemap.model.loop.forms.change import Change
 from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.terms import Term
@@ -203,7 +204,9 @@ def _verdict(
     levels = _tested([c for c in chosen if between[c.form.name]])
     inside, across = model.test_within(tested, beside), model.test_between(tested, beside, levels)
     whole = across < inside
-    p_value = min(1.0, 2.0 * len(design.candidates) * min(inside, across))
+    apart = isinstance(candidate.form, Change)  # whether the robot changed is another question than what it lacks
+    tests = sum(isinstance(c.form, Change) == apart for c in design.candidates)
+    p_value = min(1.0, 2.0 * tests * min(inside, across))
     if p_value > ALPHA:
         return Verdict(p_value, 0.0, nothing, whole, "not significant")
     both = np.append(beside, tested)

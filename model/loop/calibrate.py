@@ -110,10 +110,27 @@ class Calibration:
         dict
             As `errors`.
         """
+        return {key: errors_of(others, energy) for key, energy in self.states(others, elsewhere=elsewhere).items()}
+
+    def states(self, others: Residuals, *, elsewhere: bool = False) -> dict[str, FloatArray]:
+        """Return the predictions for other runs, by state.
+
+        Parameters
+        ----------
+        others : Residuals
+            Against the same base model.
+        elsewhere : bool
+            Whether they were driven on another map.
+
+        Returns
+        -------
+        dict of str to ndarray of float, (n,)
+            As `held_out`.
+        """
         states = self.fitted.states(others, elsewhere=elsewhere)
         states["after"] = self.levels["after"].factor * states["after"]
         states["proposed"] = self.levels["proposed"].factor * states[self.proposal]
-        return {key: errors_of(others, energy) for key, energy in states.items()}
+        return states
 
 
 def calibrate(

@@ -9,7 +9,6 @@ from joulemap.model.runs.words import number_words
 from joulemap.service.words import capital
 
 _NOTHING = 1e-9  # half a width of an interval: rounding
-_MOVED = 1e-3  # of an interval's half: less is rounding, and the value is the one to start from
 _BASE = {
     "rolling_resistance": "rolling resistance",
     "energy_of_motion": "energy of motion, as a multiple of the model's",
@@ -80,9 +79,8 @@ def is_shown(parameter: Mapping[str, Any]) -> bool:
     Returns
     -------
     bool
-        False where the value is the one to start from and the interval is wider than any value that makes sense, and
-        where nothing in the runs depends on it: then the interval has no width.
+        False where the interval is wider than the value and than 1, and where nothing in the runs depends on it: then
+        the interval has no width.
     """
-    start = parameter["declared"] or 0.0
     half = 0.5 * (parameter["ci95"][1] - parameter["ci95"][0])
-    return half > _NOTHING and (half <= 1.0 or abs(parameter["value"] - start) > _MOVED * half)
+    return _NOTHING < half <= max(1.0, abs(parameter["value"]))

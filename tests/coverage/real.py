@@ -69,9 +69,9 @@ def left_out(runs: CalibrationRuns, campaigns: Sequence[str]) -> dict[str, tuple
         train, test = np.flatnonzero(group != k), np.flatnonzero(group == k)
         electric = {key: values[train] for key, values in measured.electric.items()}
         model = calibrate(rows.take(train), electric=electric, groups=campaigns)
-        said = model.fitted.states(rows.take(test))["after_planner"]
+        said = model.states(rows.take(test))["proposed"]
         parts = []
-        for index, energy in ((train, model.held_out["after_planner"]), (test, said)):
+        for index, energy in ((train, model.held_out["proposed"]), (test, said)):
             moving = rows.moving[index]
             columns = rows.measured[index], energy, measured.std[index], rows.run[index], group[index]
             parts.append(Held(*(column[moving] for column in columns)))

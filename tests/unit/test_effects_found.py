@@ -338,3 +338,42 @@ def test_a_record_that_lacks_something_is_refused(tmp_path):
     file.write_bytes(b"no archive")
     with pytest.raises(ModelError, match="damaged"):
         read_record(tmp_path)
+
+
+@pytest.mark.parametrize("baseline", [False, True])
+def test_a_bearing_that_fails_between_two_runs_is_a_change_in_time(baseline):
+    """Runs 4 to 6 of 6 cost 27 % more. Plans do not contain it: somebody has to look at the robot."""
+    rng = np.random.default_rng(5)
+    rows, before = made_up(rng), made_up(rng)
+    base = measured_on(before, noisy(rng, before)) if baseline else None
+    found = found_in(rows, noisy(rng, rows, 0.27 * rows.predicted * (rows.run >= 3)), base=base)
+    form = found.effects[0].term.form
+    assert (form.name, form.run) == ("change", 4)
+    assert found.effects[0].term.coefficients[0] == pytest.approx(0.27, abs=0.04)
+    assert "from run 4 on" in form.where(found.effects[0].term.coefficients)
+    assert not form.known_before
+
+
+def test_a_run_that_differs_is_no_change_in_time():
+    rng = np.random.default_rng(6)
+    rows = made_up(rng)
+    found = found_in(rows, noisy(rng, rows, 0.27 * rows.predicted * (rows.run == 3)))
+    assert "change" not in [effect.term.form.name for effect in found.effects]
+
+
+def test_no_effect_takes_or_gives_back_more_than_all_the_energy():
+    rng = np.random.default_rng(8)
+    rows = made_up(rng)
+    measured = measured_on(rows, noisy(rng, rows))
+    design = calibrate(measured, cross_validate=False).fitted.selection.design
+    for candidate in design.candidates:
+        columns, form = design.columns[:, candidate.tested], candidate.form
+        low, high = design.low[candidate.tested], design.high[candidate.tested]
+        if not form.on_map:
+            continue
+        assert np.isfinite([low, high]).all(), form.name
+        largest = np.abs(columns).sum(axis=0) * np.maximum(np.abs(low), np.abs(high))
+        at_work = (np.abs(columns) > 0.0).T @ np.maximum(measured.measured, measured.said)
+        assert (largest <= at_work * (1.0 + 1e-9)).all(), form.name
+    slip = [c.form for c in design.candidates if c.form.name == "slip"]
+    assert [form.low for form in slip] == [0.0]

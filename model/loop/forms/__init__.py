@@ -10,6 +10,7 @@ from joulemap.model.errors import ModelError
 from joulemap.model.loop.forms._base_parameters import BaseParameters
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.loop.forms.baseline_change import CHANGES
+from joulemap.model.loop.forms.change import Change
 from joulemap.model.loop.forms.climbing import Climbing
 from joulemap.model.loop.forms.copper_loss import CopperLoss
 from joulemap.model.loop.forms.cross_slope import CrossSlope
@@ -41,6 +42,7 @@ NAMED: tuple[type[Form], ...] = (
     Payload,
     Wind,
     Drift,
+    Change,
     WarmingUp,
     TerrainClass,
     TurningByClass,

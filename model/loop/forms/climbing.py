@@ -33,6 +33,7 @@ class Climbing(Form):
     meaning = "share of the energy of climbing that is added"
     reveals = "straight climbs of several grades"
     covariates = ("grade",)
+    low = 0.0
     options: ClassVar = {"slipping": (False, True)}
 
     @property
