@@ -32,6 +32,7 @@ class Fitted:
     effects: tuple[Effect, ...]  # those that explain most first
     correction: Correction  # of the base model's prediction, by everything and by what is known before a drive
     base_terms: tuple[Term, ...]  # the base parameters alone, fitted for themselves
+    in_logs: tuple[Term, ...]  # faults of the log beside the terms of plans, which are judged by that log
     scale: Term | None  # what makes a charge of the base model's prediction before any of this
     simple: tuple[Term, ...]  # what the calibration competes with: a constant, and few columns
     run_share: float  # standard deviation between runs that no effect explains, as a share of the energy
@@ -58,7 +59,7 @@ class Fitted:
             "before": before,
             "corrected": _with(self.base_terms),
             "after": _with(self.correction.terms),
-            "after_planner": _with(self.correction.planner_terms),
+            "after_planner": _with([*self.correction.planner_terms, *self.in_logs]),
         } | {key: term.energy(rows.features) for key, term in zip(SIMPLE, self.simple, strict=True)}
 
 
@@ -87,9 +88,11 @@ def fit(
         term = Term(candidate.form, tuple(estimate.coefficients[own].tolist()))
         effects.append(Effect(term, low[own], high[own], verdict.p_value, verdict.gain, verdict.between))
     fixed = np.isin(index, selection.design.fixed)
-    planned = [c for c in selection.chosen if c.form.known_before]
+    planned = [c for c in selection.chosen if c.form.known_before or isinstance(c.form, LogFault)]
     planner = selection if len(planned) == len(selection.chosen) else selection.settled(planned)
     planner_terms = planner.estimate(planned, without=(MEASURED_SLOPE,))[-1]
+    in_logs = tuple(term for term in planner_terms if isinstance(term.form, LogFault))
+    planner_terms = tuple(term for term in planner_terms if term not in in_logs)
     ranges = driven_ranges(rows.features.take(np.flatnonzero(new)))
     drives = selection.design.residuals.features.drives
     correction = Correction(terms, planner_terms, ranges, drives, first, rows.charge)
@@ -97,4 +100,5 @@ def fit(
     run_share = float(np.sqrt(estimate.tau2 * selection.model.sigma2(index)))
     recent = rows.take(np.flatnonzero(new))
     simple = tuple(Term(form, form.fitted(recent)) for form in map(SimpleCosts, SIMPLE.values()))
-    return Fitted(selection, low[fixed], high[fixed], ranked, correction, base_terms, scale, simple, run_share)
+    ends = low[fixed], high[fixed]
+    return Fitted(selection, *ends, ranked, correction, base_terms, in_logs, scale, simple, run_share)

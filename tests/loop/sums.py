@@ -21,6 +21,8 @@ from joulemap.model.energy.residuals_of_runs import residuals_on
 from joulemap.model.loop.calibrate import calibrate
 from joulemap.model.training.evaluation import evaluate_on_runs
 from joulemap.model.training.measured_runs import train_on_runs
+from joulemap.service.loop.calibration import correction_of
+from tests.coverage.scores import Held, Judged, judged, scores
 from tests.loop.calibrator import segments_of
 from tests.loop.generators.case import Case, make_case
 from tests.loop.generators.config import CaseConfig, DriveConfig, NoiseConfig, RobotConfig
@@ -88,6 +90,24 @@ def errors_of_calibration(case: Case) -> list[tuple[float, float]]:
     return out
 
 
+def routes_of_calibration(case: Case) -> list[Judged]:
+    """Routes of further runs, with the odds that a calibration of `physics` gives."""
+    physics, out = PhysicsPredictor(), []
+    given = case.new.site.heightmap, case.declared, segments_of(case.new.logs, case.declared)
+    measured, electric, std = residuals_on(physics, *given)
+    found = calibrate(measured, electric=electric)
+    spread = correction_of(found, std).spread
+    assert spread is not None
+    assert case.other is not None
+    for place in (case.test, case.other):
+        ground = place.site.heightmap, case.declared, segments_of(place.logs, case.declared)
+        rows, _, own = residuals_on(physics, *ground)
+        said = found.states(rows, elsewhere=place is case.other)["proposed"]
+        held = Held(*(column[rows.moving] for column in (rows.measured, said, own, rows.run, rows.run)))
+        out.append(judged("simulated", spread, held, shortest=20, longest=100, cuts=2))
+    return out
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.loop.sums", description=__doc__.splitlines()[0])
@@ -96,16 +116,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--runs", type=int, default=6)
     parser.add_argument("--length", type=float, default=150.0)
     parser.add_argument("--what", default="train,calibrate")
+    parser.add_argument("--odds", action="store_true", help="are the odds of a calibration right, in place of sums?")
     options = parser.parse_args(arguments)
+    if options.odds:
+        cases = (
+            case_of(k, options.first_seed + k, runs=options.runs, length_m=options.length)[1]
+            for k in range(options.cases)
+        )
+        found = scores([routes for case in cases for routes in routes_of_calibration(case)])
+        print(", ".join(f"{key}: {value}" for key, value in found.items()))
+        return
     print("| noise | model | sum, same site | other | error per metre, same | other |\n|---|---|---|---|---|---|")
     kinds = {"train": errors_of_training, "calibrate": errors_of_calibration}
     every: dict[str, list[float]] = {}
     for number in range(options.cases):
         name, case = case_of(number, options.first_seed + number, runs=options.runs, length_m=options.length)
         for what in options.what.split(","):
-            found = kinds[what](case)
-            every.setdefault(what, []).append([*(bias for bias, _ in found), *(error for _, error in found)])
-            cells = [f"{bias:+.1%}" for bias, _ in found] + [f"{error:.2%}" for _, error in found]
+            bias_and_error = kinds[what](case)
+            every.setdefault(what, []).append([value for pair in zip(*bias_and_error, strict=True) for value in pair])
+            cells = [f"{value:+.2%}" for value in every[what][-1]]
             print(f"| {name} | {what} | {' | '.join(cells)} |", flush=True)
     for what, rows in every.items():
         print(
