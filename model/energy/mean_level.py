@@ -20,13 +20,15 @@ class MeanLevel:
         Sum of the measured energies over that of the predicted ones.
     std : float
         Standard error of the ratio, by a jackknife over runs; infinite for one run.
+    agrees : bool
+        Whether 1 is within the 95 % confidence interval of the ratio.
     factor : float
-        By which predictions are multiplied: 1 where the sums agree within the 95 % confidence interval of the ratio,
-        and the ratio where they do not.
+        By which predictions are multiplied: 1 where the sums agree, and the ratio where they do not.
     """
 
     ratio: float = 1.0
     std: float = float("inf")
+    agrees: bool = True
     factor: float = 1.0
 
     def as_dict(self) -> dict[str, Any]:
@@ -73,4 +75,4 @@ def mean_level(energy: ArrayLike, predicted: ArrayLike, run: ArrayLike, *, besid
     others = (top.sum() - top) / (bottom.sum() - bottom)
     std = float(np.sqrt((count - 1) * np.mean((others - others.mean()) ** 2)))
     agrees = abs(ratio - 1.0) <= float(student.ppf(0.975, count - 1)) * std
-    return MeanLevel(ratio, std, 1.0 if agrees else ratio)
+    return MeanLevel(ratio, std, agrees, 1.0 if agrees else ratio)

@@ -209,7 +209,7 @@ def _sums(
     of: list[tuple[int, int]] = []
     for one in np.unique(run):
         mine = np.flatnonzero(run == one)
-        for stretch in _stretches(mine):
+        for stretch in stretches_of(mine):
             found.append((error[stretch].sum(), energy[stretch].sum(), (std[stretch] ** 2).sum(), stretch.size))
             of.append((int(group[stretch[0]]), stretch.size if stretch.size in STRETCHES else 0))
     cells, cell, count = np.unique(np.array(of), axis=0, return_inverse=True, return_counts=True)
@@ -220,8 +220,19 @@ def _sums(
     return _Sums(error_j, energy_j, variance, segments, weight)
 
 
-def _stretches(mine: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Stretches of every length that do not overlap; the whole run where it is shorter than two of the shortest."""
+def stretches_of(mine: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """Return the stretches whose sums are judged.
+
+    Parameters
+    ----------
+    mine : ndarray of int, (n,)
+        Segments of a run, in driving order.
+
+    Yields
+    ------
+    ndarray of int
+        Stretches of every length that do not overlap; the whole run where it is shorter than two of the shortest.
+    """
     for length in STRETCHES:
         parts = mine.size // length
         first = (mine.size - parts * length) // 2

@@ -221,7 +221,9 @@ def _proposed(measured: Residuals, held: Mapping[str, FloatArray], fold: NDArray
 
 
 def _levelled(measured: Residuals, said: FloatArray, fold: NDArray[np.int64]) -> tuple[MeanLevel, FloatArray]:
-    """How far sums are off on left-out runs, and predictions multiplied by what the other folds say of that."""
+    """How far sums are off on left-out runs, and predictions multiplied by what the other folds say of that, unless
+    that makes metres worse: then the difference hangs on a few of them.
+    """
 
     def _level(some: NDArray[np.bool_]) -> MeanLevel:
         return mean_level(measured.measured[some], said[some], measured.unit[some])
@@ -229,4 +231,6 @@ def _levelled(measured: Residuals, said: FloatArray, fold: NDArray[np.int64]) ->
     level, out = _level(measured.moving), said.copy()
     for k in range(int(fold.max()) + 1 if level.factor != 1.0 else 0):
         out[fold == k] *= _level(measured.moving & (fold != k)).ratio
+    if _squares(measured, out).sum() > _squares(measured, said).sum():
+        return replace(level, factor=1.0), said
     return level, out

@@ -103,6 +103,7 @@ def _written(correction: Correction) -> dict[str, Any]:
         "scale": correction.scale,
         "planner_scale": correction.planner_scale,
         "alone": correction.alone,
+        "reliability": None if correction.reliability is None else dict(correction.reliability),
     }
 
 
@@ -122,6 +123,7 @@ def _read(values: Mapping[str, Any]) -> Correction:
             float(values.get("scale", 1.0)),
             float(values.get("planner_scale", 1.0)),
             bool(values.get("alone", False)),
+            values.get("reliability"),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"a calibration is not complete: {error!r}") from error

@@ -111,6 +111,8 @@ class Correction:
         By which the energy of measured runs, and of plans, is multiplied so that sums of left-out runs agree.
     alone : bool
         Whether the terms of plans are all of the energy, without the base model.
+    reliability : mapping, optional
+        Of the spread, as `Reliability.as_dict`.
     """
 
     terms: tuple[Term, ...]
@@ -126,6 +128,7 @@ class Correction:
     scale: float = 1.0
     planner_scale: float = 1.0
     alone: bool = False
+    reliability: Mapping[str, Any] | None = None
 
     @property
     def effects(self) -> list[dict[str, Any]]:

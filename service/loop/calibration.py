@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
+from joulemap.model.energy.reliability import checked_spread
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import ConflictError, InfeasibleError, InputError
 from joulemap.model.loop._procedure import SIMPLE
@@ -159,6 +160,7 @@ def calibrate_on_runs(
     report = report_document(found, before=predictor.provenance(), after=version)
     if groups is not None and measured.residuals.whole_runs:
         report["validation"]["left_out"] = "campaigns"
+    report["reliability"] = correction.reliability
     report |= _turning(found, predictor, runs.robot, correction) | _runs(runs, measured)
     report |= _route(routes, why_not, runs)
     if measured.test is not None:
@@ -312,10 +314,13 @@ def correction_of(
     unit_j = rows.unit_j
     measured_j, said_j = (unit_j * energy for energy in (found.residuals.measured, found.held_out["proposed"]))
     judged = moving & np.isfinite(measured_j) & np.isfinite(said_j) & (std_j > 0.0)
-    run, spread = rows.run[judged], None
+    run, spread, check = rows.run[judged], None, None
     if judged.sum() >= FEWEST:
         group = None if groups is None or not found.residuals.whole_runs else np.asarray(groups)[run]
-        spread = fit_spread(measured_j[judged], said_j[judged], std_j[judged], run, group=group)
+        _, number = np.unique(run if group is None else group, return_inverse=True)
+        given = measured_j[judged], said_j[judged], std_j[judged], run
+        spread, check = checked_spread(*given, number) if found.folds else (fit_spread(*given, group=number), None)
+    reliability = None if check is None else check.as_dict()
     correction = found.fitted.correction
     turned = unit_j * turning_per_rad(correction.planner_terms, rows)
     simple = dict(zip(SIMPLE, found.fitted.simple, strict=True)).get(found.proposal)
@@ -331,6 +336,7 @@ def correction_of(
         spread=spread,
         scale=found.levels["after"].factor,
         planner_scale=factor,
+        reliability=reliability,
     )
 
 

@@ -138,9 +138,39 @@ def plan_words(document: Mapping[str, Any]) -> list[str]:
         return lines
     ratio, error = percent(level["ratio"]), percent(level["std"])
     what = f"The measured energy is {ratio} of the predicted one (standard error {error})"
-    if level["factor"] == 1.0:
+    if not level["agrees"] and level["factor"] == 1.0:
+        return [
+            *lines,
+            f"WARNING: {what}. A factor would make metres worse, because it hangs on a few: none is applied.",
+        ]
+    if level["agrees"]:
         return [*lines, f"Right on average: {what[0].lower()}{what[1:]}, which is no difference."]
     return [*lines, f"WARNING: {what}: all predictions of plans are multiplied by {level['factor']:.3f}."]
+
+
+def odds_words(document: Mapping[str, Any]) -> list[str]:
+    """Return whether the odds of the calibrated model were right on runs that had no part in them.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        Sentences; none where too few runs were left out.
+    """
+    if not (found := document.get("reliability")) or not document["validation"]["whole_procedure"]:
+        return []
+    inside = ", ".join(f"{percent(share, 0)} inside the {level} % interval" for level, share in found["inside"].items())
+    curve = ", ".join(f"{percent(said, 0)} said, {percent(happened, 0)} happened" for said, happened in found["curve"])
+    lines = [
+        f"Odds on {found['routes']} stretches of runs that had no part in them: {inside}. No more energy: {curve}."
+    ]
+    if found["factor"] != 1.0:
+        lines.append(f"These intervals held too little or too much: they are made {found['factor']:.2f} times as wide.")
+    return lines
 
 
 def level_words(document: Mapping[str, Any]) -> list[str]:

@@ -8,7 +8,15 @@ from typing import Any
 from joulemap.model.runs.words import number_words, quantity_name, quantity_value
 from joulemap.service.loop.base_words import base_words
 from joulemap.service.loop.effect_words import confounded_words, found_words
-from joulemap.service.loop.error_words import advice, error_words, level_words, plan_words, site_words, variation_words
+from joulemap.service.loop.error_words import (
+    advice,
+    error_words,
+    level_words,
+    odds_words,
+    plan_words,
+    site_words,
+    variation_words,
+)
 
 _SAID_RANGES = ("speed", "grade", "turning")  # in sentences; the report's table has all
 
@@ -54,7 +62,7 @@ def summary_lines(document: Mapping[str, Any]) -> list[str]:
         *(f"  {words}" for words in base_words(document)),
     ]
     lines += [first, *(f"  {words}" for words in rest), variation_words(document), *error_words(document)]
-    lines += plan_words(document)
+    lines += [*plan_words(document), *odds_words(document)]
     return [*lines, *confounded_words(document), range_words(document), *site_words(document)]
 
 

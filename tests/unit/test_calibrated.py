@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from joulemap.model.loop.forms.baseline_change import HotelLoad, RollingResistan
 from joulemap.model.loop.forms.climbing import Climbing
 from joulemap.model.loop.forms.drift import Drift
 from joulemap.model.loop.forms.log_faults import MeterLag
+from joulemap.model.loop.forms.simple_costs import SimpleCosts
 from joulemap.model.loop.forms.speed import Speed
 from joulemap.model.loop.forms.structure import Curve
 from joulemap.model.loop.forms.turning import Turning
@@ -63,6 +65,36 @@ def test_the_price_of_a_metre_uphill_is_base_and_effect(name):
     term, extra = EFFECTS[name]
     assert price(calibrated(term)) == pytest.approx(BASE + extra, rel=1e-5)
     assert price(calibrated(logged=[term])) == pytest.approx(BASE, rel=1e-5)  # what plans do not contain
+
+
+SIMPLE = Term(SimpleCosts(), (30.0, 400.0, 70.0, 6.0))  # J/m, J per metre of climb, J/rad, W
+
+
+def test_least_squares_that_predict_better_are_all_of_a_price(tmp_path):
+    correction = Correction((), (SIMPLE,), alone=True, planner_scale=1.1, scale=1.3)
+    folder = tmp_path / "model"
+    version = save_calibrated(folder, correction, {"name": "physics", "version": "1"})
+    read, _, again = read_calibrated(folder)
+    assert (read.alone, read.planner_scale, read.scale, again) == (True, 1.1, 1.3, version)
+    model = CalibratedPredictor(PhysicsPredictor(), read, name="mine", version=version)
+    assert price(model) == pytest.approx(1.1 * (30.0 + 400.0 * 0.05 + 6.0 / 0.5), rel=1e-5)
+    assert model.correction.only_in_logs == []
+
+
+def test_of_slopes_that_no_run_has_shown_the_base_model_knows_the_price():
+    level = BaseParameters(("rolling_resistance", "idle_power_w"))
+    first = Term(level, (0.0, 0.0))
+    model = calibrated(SIMPLE, alone=True, first_base=first)
+    assert price(model) == pytest.approx(30.0 + 6.0 / 0.5 + 0.05 * WEIGHT, rel=1e-5)
+
+
+def test_plans_pay_for_the_turns_of_the_base_model_too():
+    class Turns(PhysicsPredictor):
+        def robot_with_turning(self, robot):
+            return replace(robot, turn_j_per_rad=robot.turn_j_per_rad + 300.0)
+
+    model = CalibratedPredictor(Turns(), Correction((), (), turn_j_per_rad=280.0), name="mine", version="1")
+    assert model.robot_with_turning(replace(ROBOT, turn_j_per_rad=5.0)).turn_j_per_rad == 585.0
 
 
 def test_a_lattice_entry_is_the_answer_for_that_segment():

@@ -13,10 +13,11 @@ from joulemap.model.energy.mean_level import mean_level
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.residuals_of_runs import residuals_on
 from joulemap.model.energy.tensors import NetworkOutput
-from joulemap.model.loop.calibrate import calibrate
+from joulemap.model.loop.calibrate import _levelled, calibrate
 from joulemap.model.training.optimisation import TrainingOptions, _Trainer
 from tests.loop.calibrator import segments_of
 from tests.loop.sums import case_of
+from tests.reference.drives import made_up, measured_on, noisy
 
 
 def runs_of(ratio: float, *, spread: float, count: int = 8):
@@ -93,3 +94,21 @@ def test_a_training_finds_the_mean_of_skewed_energies():
         (slope,) = torch.autograd.grad(loss, said)
         said = (said - 20.0 * slope).detach().requires_grad_()
     assert said.item() == pytest.approx(float(energy.mean()), rel=0.005)
+
+
+@pytest.mark.parametrize("few", [False, True])
+def test_a_factor_that_makes_metres_worse_is_not_applied(few):
+    """Sums are a fifth too high: of all metres, or of all but a few that take most of the energy."""
+    rng = np.random.default_rng(4)
+    rows = made_up(rng)
+    energy = noisy(rng, rows, share=0.02)
+    if few:  # every fiftieth metre takes ten times as much, of which nine tenths are predicted
+        energy[::50] *= 10.0
+    said = energy * 1.3
+    if few:
+        said[::50] *= 0.9 / 1.3
+    measured = measured_on(rows, energy)
+    level, held = _levelled(measured, said, measured.folds())
+    assert not level.agrees
+    assert (level.factor == 1.0) == few
+    assert np.sum((held - energy) ** 2) <= np.sum((said - energy) ** 2)

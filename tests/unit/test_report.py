@@ -21,7 +21,7 @@ from joulemap.service.loop.base_words import base_name, base_words
 from joulemap.service.loop.calibration import Calibrated, campaigns_of
 from joulemap.service.loop.deprecated_keys import with_former_keys
 from joulemap.service.loop.effect_words import confounded_words, found_words
-from joulemap.service.loop.error_words import error_states, error_words, plan_words, variation_words
+from joulemap.service.loop.error_words import error_states, error_words, odds_words, plan_words, variation_words
 from joulemap.service.loop.next_drive import NextDrive, next_drive
 from joulemap.service.loop.next_words import NextStep, drive_words, likeliest
 from joulemap.service.loop.report_figures import LEAST_SPAN, change_scale
@@ -245,12 +245,28 @@ def test_what_plans_use_is_said_beside_what_it_was_compared_with(turning, sizes,
     assert "12.4 J of the model before" in first
     assert ("left to other runs it is 6." in first) == (proposal == "least_squares")
     assert second.startswith("Right on average: the measured energy is ")
-    low = {"proposed": {"ratio": 1.2, "std": 0.01, "factor": 1.2}}
+    low = {"proposed": {"ratio": 1.2, "std": 0.01, "agrees": False, "factor": 1.2}}
     assert plan_words(told | {"mean": low})[1] == (
         "WARNING: The measured energy is 120.0 % of the predicted one (standard error 1.0 %): all predictions of plans "
         "are multiplied by 1.200."
     )
+    few = {"proposed": low["proposed"] | {"factor": 1.0}}
+    assert "A factor would make metres worse" in plan_words(told | {"mean": few})[1]
     assert first in shown(report_page(Calibrated(told, turning.found, None, LEVEL)))
+
+
+def test_the_odds_are_told_with_what_happened(turning):
+    inside, curve = {"50": 0.48, "80": 0.81, "90": 0.92}, [[0.05, 0.04], [0.5, 0.52], [0.95, 0.97]]
+    told = turning.document | {"reliability": {"routes": 90, "inside": inside, "curve": curve, "factor": 1.0}}
+    (words,) = odds_words(told)
+    assert words == (
+        "Odds on 90 stretches of runs that had no part in them: 48 % inside the 50 % interval, 81 % inside the 80 % "
+        "interval, 92 % inside the 90 % interval. No more energy: 5 % said, 4 % happened, 50 % said, 52 % happened, "
+        "95 % said, 97 % happened."
+    )
+    assert "Odds on 90 stretches of runs" in shown(report_page(Calibrated(told, turning.found, None, LEVEL)))
+    wider = told | {"reliability": told["reliability"] | {"factor": 1.4}}
+    assert odds_words(wider)[1].endswith("they are made 1.40 times as wide.")
 
 
 def test_level_ground_is_said_in_the_first_lines(turning):
