@@ -212,7 +212,10 @@ def train_on_sites(
         fits.part[judged.index][known],
         beside=judged.beside_j[known],
     )
-    judged, net = judged.scaled(level.factor), kind.scaled(net, level.factor)
+    if level.factor != 1.0 and (scaled := kind.scaled(net, level.factor)) is not None:
+        judged, net = judged.scaled(level.factor), scaled
+    elif not level.agrees:
+        level = replace(level, factor=1.0)
     costs = judged.costs
     held_out = named(
         errors(judged.energy_j[known], judged.segments.energy_j[known], judged.segments.run[known]),
@@ -227,6 +230,9 @@ def train_on_sites(
     names = [segments.runs[int(k)] for k in np.unique(judged.segments.run)]
     baselines = fits.baseline_errors(known)
     warnings = _warnings(held_out, baselines, sites)
+    if not level.agrees:
+        done = "made up for" if level.factor != 1.0 else "left, because this architecture cannot be multiplied"
+        warnings.append(f"measured sums of left-out runs were {level.ratio:.1%} of the predicted ones, which is {done}")
     training = {
         "data": "measured runs",
         "protocol": protocol,

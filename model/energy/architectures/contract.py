@@ -65,7 +65,7 @@ class TrainingDefaults:
 class Architecture(ABC, Generic[Net]):
     """One kind of network. The project asks this class and never the type of a network.
 
-    A new architecture defines `name`, `size` and the five abstract methods; the others have defaults. An architecture
+    A new architecture defines `name`, `size` and the four abstract methods; the others have defaults. An architecture
     has no state: it is made anew wherever it is needed.
 
     Attributes
@@ -251,8 +251,7 @@ class Architecture(ABC, Generic[Net]):
         """
         return net
 
-    @abstractmethod
-    def scaled(self, net: Net, factor: float) -> Net:
+    def scaled(self, net: Net, factor: float) -> Net | None:
         """Return a network that asks for more, or less, of everything.
 
         Parameters
@@ -264,9 +263,10 @@ class Architecture(ABC, Generic[Net]):
 
         Returns
         -------
-        Network
-            A copy.
+        Network or None
+            A copy; by default None, for which a training can only say that its sums are off.
         """
+        return None
 
     def device(self) -> torch.device:
         """Return where networks of this architecture are trained and asked: the processor."""
