@@ -268,7 +268,18 @@ def random_site(
 
 
 def random_survey(rng: np.random.Generator) -> dict[str, float]:
-    """Draw the faults of a survey, as `make_site` takes them: of a laser scanner, a drone, a robot or a country."""
+    """Draw the faults of a survey: of a laser scanner, a drone, a robot or a country.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    dict
+        As `make_site` takes them.
+    """
     poor = rng.random() < _POOR_SURVEYS
     noise_m = math.exp(rng.uniform(*np.log(_POOR_NOISE_M))) if poor else float(rng.uniform(0.0, 0.012))
     return {

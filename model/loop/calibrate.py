@@ -81,7 +81,7 @@ class Calibration:
         judged = [errors for errors in (self.errors, self.test_errors) if errors is not None]
         better = all(errors[state]["rmse"] < errors["before"]["rmse"] for errors in judged)
         before, after = (_squares(self.residuals, self.held_out[key]) for key in ("before", state))
-        gains = np.bincount(self.residuals.unit, weights=before - after)
+        gains = np.bincount(self.residuals.unit, weights=before - after).astype(np.float64)
         better = better and not (self.folds and within_one_error(gains))
         return None if better and not self.folds and self.test_errors is None else better
 
@@ -207,7 +207,8 @@ def _squares(measured: Residuals, said: FloatArray) -> FloatArray:
 
 def _proposed(measured: Residuals, held: Mapping[str, FloatArray], fold: NDArray[np.int64]) -> tuple[str, FloatArray]:
     """Which prediction errs least on left-out runs, and what would have been proposed for each fold without it."""
-    by_fold = np.stack([np.bincount(fold, weights=_squares(measured, held[key])) for key in PLANS])  # (plans, folds)
+    squares = [np.bincount(fold, weights=_squares(measured, held[key])) for key in PLANS]
+    by_fold = np.stack(squares).astype(np.float64)  # (plans, folds)
 
     def _best(errors: FloatArray) -> str:
         """The first one, unless another errs less by more than one standard error."""

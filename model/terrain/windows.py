@@ -178,7 +178,20 @@ class HeightmapFile:
 
 
 def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
-    """The expected ground of cells [row0, row1) x [col0, col1), the same as that part of the whole map's."""
+    """Return the expected ground of cells [row0, row1) x [col0, col1), given the survey.
+
+    Parameters
+    ----------
+    ground : Ground
+        The survey.
+    row0, row1, col0, col1 : int
+        The window, at least 2 x 2 cells.
+
+    Returns
+    -------
+    Heightmap
+        The same as that part of the whole map without noise.
+    """
     if ground.noise_m < LEAST_NOISE_M:
         return ground.window(row0, row1, col0, col1)
     rows, cols = ground.frame.shape

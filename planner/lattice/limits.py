@@ -86,7 +86,20 @@ def ground_limits(
 
 
 def noise_warnings(noise_m: float, robot: Robot) -> list[str]:
-    """What a survey with noise of that standard deviation [m] can hide from the limits: one sentence, or none."""
+    """Return what noise of a survey can hide from the limits.
+
+    Parameters
+    ----------
+    noise_m : float
+        Its standard deviation [m].
+    robot : Robot
+        The robot, whose wheel radius counts.
+
+    Returns
+    -------
+    list of str
+        A warning, or nothing.
+    """
     if noise_m < LEAST_NOISE_M:
         return []
     said = (

@@ -240,7 +240,18 @@ class CompactWeights:
 
 
 def with_all_features(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """The arrays of a network, of which an older one knows eight `FEATURES`: the ninth changes nothing in it."""
+    """Return the arrays of a network, of which an older one knows eight `FEATURES`: the ninth changes nothing in it.
+
+    Parameters
+    ----------
+    arrays : mapping of str to ndarray
+        By their names in the network.
+
+    Returns
+    -------
+    dict
+        With the shapes of this version.
+    """
     known = dict(arrays)
     if {"robot.weight", "feature_low", "feature_high"} <= known.keys() and len(known["feature_low"]) == 8:
         low, high = math.log2(LEAST_NOISE_M), 0.0  # of "log2_noise_m", the only one that was added
