@@ -166,10 +166,6 @@ _NAMED: Mapping[str, tuple[Relief, str]] = {
     "dirt": (_DIRT, "dirt"),
 }
 _SURVEY_M = 0.1
-_POOR_SURVEYS, _POOR_NOISE_M = 0.5, (0.008, 0.16)
-"""Share of the random sites that a drone or a country surveyed, and how noisy these surveys are [m]."""
-_CORRELATED, _ROUNDED = 0.25, 0.15
-"""Share of these whose noise is alike over some decimetres, and of all whose heights are rounded."""
 _ROLLING_SPREAD, _BUMP_SPREAD = 0.10, 0.05  # of the logarithms, between two meadows
 _PLASTIC = 1.324717957244746  # the plastic ratio, x**3 = x + 1
 
@@ -263,31 +259,9 @@ def random_site(
         frame,
         rng,
         survey_m=survey_m,
-        **random_survey(rng),
+        noise_m=float(rng.uniform(0.001, 0.012)),
+        smoothing_m=float(rng.uniform(0.02, 0.15)),
     )
-
-
-def random_survey(rng: np.random.Generator) -> dict[str, float]:
-    """Draw the faults of a survey: of a laser scanner, a drone, a robot or a country.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    dict
-        As `make_site` takes them.
-    """
-    poor = rng.random() < _POOR_SURVEYS
-    noise_m = math.exp(rng.uniform(*np.log(_POOR_NOISE_M))) if poor else float(rng.uniform(0.0, 0.012))
-    return {
-        "noise_m": noise_m,
-        "smoothing_m": float(rng.uniform(0.02, 0.15)),
-        "correlation_m": float(rng.uniform(0.1, 1.0)) if poor and rng.random() < _CORRELATED else 0.0,
-        "quantum_m": float(rng.choice([0.001, 0.01, 0.1])) if rng.random() < _ROUNDED else 0.0,
-    }
 
 
 def random_ground(rng: np.random.Generator) -> Ground:
@@ -325,8 +299,6 @@ def make_site(
     survey_m: float,
     noise_m: float = 0.004,
     smoothing_m: float = 0.06,
-    correlation_m: float = 0.0,
-    quantum_m: float = 0.0,
 ) -> Site:
     """Build the terrain, the maps of rolling loss, and the survey.
 
@@ -344,8 +316,8 @@ def make_site(
         Source of randomness.
     survey_m : float
         Side of a cell of the survey [m].
-    noise_m, smoothing_m, correlation_m, quantum_m : float, optional
-        Noise and blur of the survey [m], the length over which the noise is alike and what heights are rounded to.
+    noise_m, smoothing_m : float, optional
+        Noise and blur of the survey [m].
 
     Returns
     -------
@@ -358,15 +330,7 @@ def make_site(
         If the survey is finer than the terrain.
     """
     seen = Heightmap(_relief(relief, frame, rng), frame, f"simulated {name}")
-    survey = degrade(
-        seen,
-        resolution_m=survey_m,
-        noise_m=noise_m,
-        correlation_m=correlation_m,
-        smoothing_m=smoothing_m,
-        quantum_m=quantum_m,
-        rng=rng,
-    )
+    survey = degrade(seen, resolution_m=survey_m, noise_m=noise_m, smoothing_m=smoothing_m, rng=rng)
     finer = fractal(frame, rng, exponent=2.0, rms_m=1.0, longest_m=0.35)
     terrain = replace(seen, heights=seen.heights + np.float32(ground.tussock_m) * finer)
     explained, factor = _soil(seen.heights, ground, frame, rng)

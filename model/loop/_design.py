@@ -19,6 +19,7 @@ from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.residuals import Residuals
 
+_EXPENSIVE = 0.95  # quantile of the energies of rows
 _STEP = 1e-3  # of a shift or a lag, for its derivative
 _DIRECTED = frozenset({"heading", "wind_speed", "wind_from"})  # say something even where they are constant
 
@@ -133,8 +134,8 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], first: Term) -> De
         beside = count + columns.shape[1] + np.arange(len(shared))
         candidates.append(Candidate(form, tested, beside, shared, new_only))
         count += columns.shape[1] + len(shared)
-        most = _most(columns[new], energy) if form.on_map else np.full(len(tested), np.inf)
-        low.append(np.append(np.maximum(form.low, -most), np.full(len(shared), -np.inf)))
+        least, most = _limits(columns[new], energy) if form.on_map else np.full((2, len(tested)), [[-np.inf], [np.inf]])
+        low.append(np.append(np.maximum(form.low, least), np.full(len(shared), -np.inf)))
         high.append(np.append(np.minimum(form.high, most), np.full(len(shared), np.inf)))
 
     for form in (form for kind in kinds for form in kind.variants(shown.take(np.flatnonzero(new)))):
@@ -158,12 +159,15 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], first: Term) -> De
     return Design(residuals, new, np.concatenate(blocks, axis=1), *ends, base, tuple(candidates), first=values)
 
 
-def _most(columns: FloatArray, energy: FloatArray) -> FloatArray:
-    """Largest size of each coefficient, (k,): an effect neither takes nor gives back more than all the energy, (n,), of
-    the rows in which it is at work.
+def _limits(columns: FloatArray, energy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest value of each coefficient, (k,): an effect takes no more than all the energy, (n,), of the
+    rows in which it is at work, and gives back no more than an expensive row takes, as these rows may without it.
     """
     size = np.abs(columns)
-    return np.asarray(((size > 0.0) * energy[:, None]).sum(axis=0) / np.maximum(size.sum(axis=0), 1e-300))
+    total = np.maximum(size.sum(axis=0), 1e-300)
+    mine = (size > 0.0) * energy[:, None]
+    without = (size > 0.0) * np.maximum(energy, np.quantile(energy, _EXPENSIVE))[:, None]
+    return -without.sum(axis=0) / total, mine.sum(axis=0) / total
 
 
 def _coverage(

@@ -320,7 +320,9 @@ def rows_missing(t: FloatArray, distance_m: FloatArray, length_m: float = 1.0) -
         True where more than one row is missing, and the robot drove more than half a segment or had time to stop.
     """
     dt = np.diff(t)
-    usual = float(np.quantile(dt[dt > 0], _MOST_FIXES)) if (dt > 0).any() else 0.0  # a bicycle computer thins rows out
+    usual = (
+        float(np.quantile(dt[dt > 0], _MOST_FIXES, method="lower")) if (dt > 0).any() else 0.0
+    )  # a bicycle computer thins rows out
     far = np.abs(distance_m) > _MEASURED_SHARE * length_m
     return np.asarray((dt > _ROWS_BRIDGED * usual) & (far | (dt > STOP_S)))
 

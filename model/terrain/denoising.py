@@ -45,7 +45,7 @@ _NORMAL = 1.4826
 
 
 def check_noise(noise_m: float | None) -> None:
-    """Check a standard deviation that somebody told [m]; raises HeightmapError where it cannot be one."""
+    """Check a standard deviation that somebody gives [m]; raises HeightmapError where it cannot be one."""
     if noise_m is not None and not 0.0 <= noise_m <= MOST_NOISE_M:
         raise HeightmapError(
             f"`noise_m`, the noise of a survey, must lie in 0..{MOST_NOISE_M:g} m, got {noise_m:g}",

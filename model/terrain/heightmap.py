@@ -35,7 +35,7 @@ class Heightmap:
         Whether this is a part of a larger map; only then may every height be unknown.
     notes : tuple of str
         What was done to the file's heights as it was read.
-    told_noise_m : float or None
+    given_noise_m : float or None
         Standard deviation of the noise of the survey [m], where it is known; else it is estimated.
     removed_noise_m : float
         Standard deviation of the noise that was taken out [m]; 0 for a survey as it is.
@@ -51,7 +51,7 @@ class Heightmap:
     source: str = field(default="memory")
     part: bool = False
     notes: tuple[str, ...] = ()
-    told_noise_m: float | None = None
+    given_noise_m: float | None = None
     removed_noise_m: float = 0.0
 
     def __post_init__(self) -> None:
@@ -64,7 +64,7 @@ class Heightmap:
             raise HeightmapError("heights must be finite or NaN (unknown), found an infinite one")
         if not self.part and np.isnan(heights).all():
             raise HeightmapError("every cell of the heightmap is unknown: there is no ground to plan on")
-        check_noise(self.told_noise_m)
+        check_noise(self.given_noise_m)
         heights.setflags(write=False)
         object.__setattr__(self, "heights", heights)
 
@@ -102,8 +102,8 @@ class Heightmap:
 
     @cached_property
     def noise_m(self) -> float:
-        """Standard deviation of the noise of the survey [m], told or estimated."""
-        return estimated_noise_m(self) if self.told_noise_m is None else self.told_noise_m
+        """Standard deviation of the noise of the survey [m], given or estimated."""
+        return estimated_noise_m(self) if self.given_noise_m is None else self.given_noise_m
 
     @cached_property
     def without_noise(self) -> Heightmap:
@@ -111,7 +111,7 @@ class Heightmap:
         if self.noise_m < LEAST_NOISE_M:
             return self
         heights = denoised(self.heights, self.noise_m)
-        return replace(self, heights=heights, told_noise_m=0.0, removed_noise_m=self.noise_m)
+        return replace(self, heights=heights, given_noise_m=0.0, removed_noise_m=self.noise_m)
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1).

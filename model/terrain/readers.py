@@ -146,7 +146,7 @@ def read_sent(
         return ground
     rows, cols = ground.frame.shape
     heights = ground.reader.read(ground.scaling, slice(0, rows), slice(0, cols))
-    return Heightmap(heights, ground.frame, ground.source, notes=ground.notes, told_noise_m=ground.told_noise_m)
+    return Heightmap(heights, ground.frame, ground.source, notes=ground.notes, given_noise_m=ground.given_noise_m)
 
 
 def open_ground(path: str | Path, *, alone: bool = False, **options: Any) -> Ground:
@@ -227,7 +227,7 @@ def _ground(
     if reader is not None:
         return HeightmapFile(part, scaling, frame, file.name, notes, noise_m)
     heights = part.read(scaling, slice(0, frame.rows), slice(0, frame.cols)).copy()
-    return Heightmap(heights, frame, file.name, notes=notes, told_noise_m=noise_m)
+    return Heightmap(heights, frame, file.name, notes=notes, given_noise_m=noise_m)
 
 
 def _window_note(frame: GridFrame) -> str:

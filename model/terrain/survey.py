@@ -13,14 +13,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 
 
 def degrade(
-    heightmap: Heightmap,
-    *,
-    resolution_m: float,
-    noise_m: float = 0.0,
-    correlation_m: float = 0.0,
-    smoothing_m: float = 0.0,
-    quantum_m: float = 0.0,
-    rng: Generator,
+    heightmap: Heightmap, *, resolution_m: float, noise_m: float = 0.0, smoothing_m: float = 0.0, rng: Generator
 ) -> Heightmap:
     """Make a survey of a terrain, on coarser cells from the same north-west corner.
 
@@ -31,13 +24,9 @@ def degrade(
     resolution_m : float
         Side of a cell of the survey [m].
     noise_m : float, optional
-        Standard deviation of the noise of a cell [m].
-    correlation_m : float, optional
-        Length over which the noise is alike (Gaussian) [m]; 0 for independent noise.
+        Standard deviation of independent noise in every cell [m].
     smoothing_m : float, optional
         Standard deviation of the Gaussian that blurs the heights first [m].
-    quantum_m : float, optional
-        What the heights are rounded to [m].
     rng : Generator
         Source of the noise.
 
@@ -75,13 +64,7 @@ def degrade(
     total = by_row @ (by_col @ heights.astype(np.float64).T).T
     mean = np.where(share >= 0.5, total / np.maximum(share, 1e-12), np.nan) + base
     if noise_m > 0.0:
-        noise = rng.standard_normal(mean.shape)
-        if correlation_m > 0.0:
-            noise = ndimage.gaussian_filter(noise, correlation_m / resolution_m / math.sqrt(2.0), mode="wrap")
-            noise /= noise.std()
-        mean += noise_m * noise
-    if quantum_m > 0.0:
-        mean = quantum_m * np.round(mean / quantum_m)
+        mean += noise_m * rng.standard_normal(mean.shape)
     return Heightmap(mean.astype(np.float32), coarse, source=f"survey of {heightmap.source}")
 
 

@@ -91,8 +91,8 @@ class HeightmapFile:
         The file's name.
     notes : tuple of str
         As `Heightmap.notes`.
-    told_noise_m : float or None
-        As `Heightmap.told_noise_m`.
+    given_noise_m : float or None
+        As `Heightmap.given_noise_m`.
     """
 
     reader: WindowReader
@@ -100,15 +100,15 @@ class HeightmapFile:
     frame: GridFrame
     source: str
     notes: tuple[str, ...] = ()
-    told_noise_m: float | None = None
+    given_noise_m: float | None = None
 
     def __post_init__(self) -> None:
-        check_noise(self.told_noise_m)
+        check_noise(self.given_noise_m)
 
     @cached_property
     def noise_m(self) -> float:
-        """Standard deviation of the noise of the survey [m], told or estimated."""
-        return estimated_noise_m(self) if self.told_noise_m is None else self.told_noise_m
+        """Standard deviation of the noise of the survey [m], given or estimated."""
+        return estimated_noise_m(self) if self.given_noise_m is None else self.given_noise_m
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1).
@@ -199,7 +199,7 @@ def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: 
     around = ground.window(top, min(row1 + MARGIN_CELLS, rows), left, min(col1 + MARGIN_CELLS, cols))
     heights = denoised(around.heights, ground.noise_m)[row0 - top : row1 - top, col0 - left : col1 - left]
     place = ground.frame.window(row0, row1, col0, col1)
-    return Heightmap(heights, place, ground.source, part=True, told_noise_m=0.0, removed_noise_m=ground.noise_m)
+    return Heightmap(heights, place, ground.source, part=True, given_noise_m=0.0, removed_noise_m=ground.noise_m)
 
 
 def overview(ground: Ground) -> Heightmap:

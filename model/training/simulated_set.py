@@ -28,7 +28,6 @@ from joulemap.model.field.sites import (
     make_site,
     random_ground,
     random_site,
-    random_survey,
 )
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
@@ -210,7 +209,8 @@ def smooth_site(rng: np.random.Generator) -> Site:
         frame,
         rng,
         survey_m=float(rng.choice([0.05, 0.1, 0.2, 0.25, 0.5, 1.0])),
-        **random_survey(rng),
+        noise_m=float(rng.uniform(0.0, 0.008)),
+        smoothing_m=float(rng.uniform(0.02, 0.15)),
     )
 
 

@@ -104,7 +104,7 @@ class HeightmapOut(ResponseModel):
     )
     noise_m: float | None = Field(
         default=None,
-        description="standard deviation of the survey's noise [m], told or estimated: prices and limits are made of "
+        description="standard deviation of the survey's noise [m], given or estimated: prices and limits are made of "
         "the ground without it; null for maps of earlier versions, which estimate it when they are used",
         examples=[0.031],
     )

@@ -16,7 +16,7 @@ import subprocess
 import time
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +99,7 @@ def lattice_of(case: Case, real: Heightmap | None) -> CostLattice:
     heightmap = real if case.heightmap is None else case.heightmap()
     assert heightmap is not None, f"{case.name} needs the real heightmap: --real"
     robot = Robot(**case.robot, tracking_std_m=0.0)  # without margin and averaging, as when the answers were stored
+    heightmap = replace(heightmap, given_noise_m=0.0)  # the moves of the stored answers
     return build_lattice(heightmap, robot, load_predictor(case.model))
 
 

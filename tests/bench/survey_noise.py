@@ -70,7 +70,7 @@ def measure(sites: int, *, correlation_m: float, told: bool, as_surveyed: bool, 
             unit = drawn_noise(clean.frame.shape, cells_m, correlation_m, rng)
             for noise_m in NOISES_M:
                 heights = (clean.heights + noise_m * unit).astype(np.float32)
-                survey = Heightmap(heights, clean.frame, told_noise_m=noise_m if told else None)
+                survey = Heightmap(heights, clean.frame, given_noise_m=noise_m if told else None)
                 ground = survey if as_surveyed else survey.without_noise
                 hidden = ground_limits(ground, frame, declared)[2] == Blocked.STEP
                 for name, predictor in predictors.items():
@@ -98,11 +98,11 @@ def routes(sites: int, *, as_surveyed: bool, seed: int) -> None:
             unit = rng.standard_normal(clean.frame.shape)
             for name in MODELS:
                 model = load_predictor(name)
-                truth = _open(build_lattice(replace(clean, told_noise_m=0.0), robot, model))
+                truth = _open(build_lattice(replace(clean, given_noise_m=0.0), robot, model))
                 best = [RoutePlanner(truth).plan(tuple(a), tuple(b)).route.energy_j for a, b in ends]
                 for noise_m in NOISES_M[1:]:
                     heights = (clean.heights + noise_m * unit).astype(np.float32)
-                    survey = Heightmap(heights, clean.frame, told_noise_m=0.0 if as_surveyed else None)
+                    survey = Heightmap(heights, clean.frame, given_noise_m=0.0 if as_surveyed else None)
                     planner = RoutePlanner(_open(build_lattice(survey, robot, model)))
                     for (a, b), least in zip(ends, best, strict=True):
                         chosen = planner.plan(tuple(a), tuple(b)).route

@@ -88,14 +88,14 @@ def test_the_loop(browser: Any, address: str, calibrated_on: str, tmp_path: Path
         tab.page.set_input_files("#runs-files", renamed)
         tab.page.wait_for_selector("#columns select")
         for label, name in (
-            ("Time", "q1"),
+            ("Time (needed)", "q1"),
             ("x, east", "q2"),
             ("y, north", "q3"),
             ("Voltage", "q4"),
-            ("Current", "q5"),
+            ("Current (or power: needed)", "q5"),
         ):
             tab.page.select_option(f"#columns select[aria-label='{label}']", name)
-        tab.page.select_option("#columns select[aria-label='unit of Current']", "mA")
+        tab.page.select_option("#columns select[aria-label='unit of Current (or power: needed)']", "mA")
         shot(tab, "columns")
         assert not inaccessible(tab.page)
         tab.page.click("#columns button")

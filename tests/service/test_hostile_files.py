@@ -231,8 +231,8 @@ def test_a_process_that_takes_too_long_or_too_much_is_ended(tmp_path: Path) -> N
             pytest.raises(TooLargeError, match=r"could not be read within 0\.001 s"),
         ):
             await hurried.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
-        with closing(Readers(processes=1, queue=1, limits=ReadLimits(5, 20))) as narrow:
-            with pytest.raises(TooLargeError, match="more than 20 MB of memory"):
+        with closing(Readers(processes=1, queue=1, limits=ReadLimits(5, 200))) as narrow:
+            with pytest.raises(TooLargeError, match="more than 200 MB of memory"):
                 await narrow.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
             assert (await narrow.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS))["rows"] == 400
         with closing(Readers(processes=1, queue=1, limits=ReadLimits(30, 10_000))) as roomy:

@@ -57,7 +57,7 @@ def test_without_noise_nothing_is_changed():
     assert plane.noise_m < LEAST_NOISE_M
     assert plane.without_noise is plane
     rough = noisy(plane, 0.05, np.random.default_rng(0))
-    np.testing.assert_array_equal(replace(rough, told_noise_m=0.0).without_noise.heights, rough.heights)
+    np.testing.assert_array_equal(replace(rough, given_noise_m=0.0).without_noise.heights, rough.heights)
 
 
 def test_energies_hardly_depend_on_the_noise():
@@ -68,7 +68,7 @@ def test_energies_hardly_depend_on_the_noise():
         return np.nanmean(np.maximum(build_lattice(ground, ROBOT, model, headings=8).traction_per_m, 0.0))
 
     survey = noisy(clean, 0.05, rng)
-    assert mean_j(replace(survey, told_noise_m=0.0)) > 1.5 * mean_j(clean)  # what it was
+    assert mean_j(replace(survey, given_noise_m=0.0)) > 1.5 * mean_j(clean)  # what it was
     assert mean_j(survey) == pytest.approx(mean_j(clean), rel=0.15)
 
 

@@ -22,6 +22,7 @@ from joulemap.model.loop.calibrate import calibrate
 from joulemap.model.loop.calibration_file import read_calibrated, save_calibrated
 from joulemap.model.loop.forms import CHANGES, FORMS, PlaceField
 from joulemap.model.loop.forms._base_parameters import BaseParameters
+from joulemap.model.loop.forms.simple_costs import SimpleCosts
 from joulemap.model.runs.residuals import joined
 from joulemap.service.loop import calibration
 from joulemap.service.loop import report_page as page
@@ -185,7 +186,9 @@ def check(found, folder):
 
 
 def test_no_form_is_forgotten(runs):
-    never = {BaseParameters.key} | (set() if runs.before else {form.key for form in CHANGES} | {PlaceField.key})
+    never = {BaseParameters.key, SimpleCosts.key} | (
+        set() if runs.before else {form.key for form in CHANGES} | {PlaceField.key}
+    )
     assert {form.key for form in runs.forms} == set(FORMS) - never
 
 

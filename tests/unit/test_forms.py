@@ -19,6 +19,7 @@ from joulemap.model.loop.forms.baseline_change import (
     RollingResistance,
     SensorGain,
 )
+from joulemap.model.loop.forms.change import Change
 from joulemap.model.loop.forms.climbing import Climbing
 from joulemap.model.loop.forms.copper_loss import CopperLoss
 from joulemap.model.loop.forms.cross_slope import CrossSlope
@@ -104,6 +105,8 @@ BY_HAND = {  # (form, one metre, what one unit of each coefficient adds to it [J
     "head wind": (Wind("head"), breeze(60.0), [1.5**2 - 0.5**2]),
     "wind in proportion": (Wind("linear"), breeze(60.0), [2.0 * 0.5]),
     "drift per hour": (Drift("since_start"), even(since_s=[1800.0]), [0.5 * PREDICTED]),
+    "before a change": (Change(100.0, 3), even(clock_s=[99.0]), [0.0]),
+    "after a change": (Change(100.0, 3), even(clock_s=[100.0]), [PREDICTED]),
     "warming up": (WarmingUp(600.0), even(since_s=[1200.0]), [math.exp(-2.0)]),
     "drift per kilometre": (Drift("driven", of_all=False), even(driven_m=[250.0]), [0.25]),
     "class": (TerrainClass("terrain", ("mud", "sand")), on("sand"), [0.0, 1.0]),

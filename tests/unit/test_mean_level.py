@@ -12,6 +12,7 @@ from joulemap.model.energy.architectures.resnet18 import ResNetEnergy
 from joulemap.model.energy.mean_level import mean_level
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.residuals_of_runs import residuals_on
+from joulemap.model.energy.robot_features import FEATURES
 from joulemap.model.energy.tensors import NetworkOutput
 from joulemap.model.loop.calibrate import _levelled, calibrate
 from joulemap.model.training.optimisation import TrainingOptions, _Trainer
@@ -62,7 +63,7 @@ def test_a_scaled_network_asks_for_a_multiple(name):
         torch.nn.init.normal_(net.gains.weight)
         torch.nn.init.normal_(net.rest.weight)
         size = kind.input_size(None)
-        given = (torch.rand(2, size, size), torch.rand(2, 8), torch.rand(2, 2 * net.config.order + 1))
+        given = (torch.rand(2, size, size), torch.rand(2, len(FEATURES)), torch.rand(2, 2 * net.config.order + 1))
         given = (*given, torch.rand(2, net.tracks.in_features), torch.rand(2), torch.rand(2))
     net.eval()
     with torch.no_grad():

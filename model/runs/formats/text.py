@@ -262,7 +262,10 @@ def _even(body: bytes, separator: str, width: int, quoted: bool, name: str, repa
     """Rows as long as the header: a last one that breaks off is dropped, others are cut or filled with blanks."""
     text = body.decode("utf-8")
     if quoted:
-        rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=separator) if row]
+        try:
+            rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=separator) if row]
+        except csv.Error as error:
+            raise RunsError(f"run {name}: a row cannot be divided into cells: {error}", run=name) from error
     else:
         rows = [line.split(separator) for line in text.split("\n") if line]
     if rows and len(rows[-1]) < width:
