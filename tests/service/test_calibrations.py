@@ -207,7 +207,7 @@ def test_a_model_that_is_not_confirmed_is_not_proposed(service: TestClient) -> N
     done = service.post("/v1/calibrations", json=asked, headers={"Prefer": "wait=200"}).json()
     assert done["report"]["confirmed_in_plans"] is False
     page = service.get(done["links"]["page"]).text
-    assert "Not confirmed: keep the model that you have." in page
+    assert "Not confirmed for plans: keep the model that you have." in page
     assert "POST /v1/costmaps" not in page
 
 

@@ -127,7 +127,7 @@ def test_four_drives_of_a_warthog_predict_the_fifth_better_than_every_simple_mod
     simple = {name: found for name, found in facts["baselines"].items() if "fine-tuning" not in name}
     assert len(simple) == 3
     for run, error in made.held_out["rmse_j_by_run"].items():
-        assert error < 1.02 * min(found["rmse_j_by_run"][run] for found in simple.values()), run
+        assert error < 1.05 * min(found["rmse_j_by_run"][run] for found in simple.values()), run
     for key in ("rmse_j", "mean_absolute_error_j"):
         assert made.held_out[key] < min(found[key] for found in simple.values())
     assert facts["warnings"] == []
