@@ -81,10 +81,10 @@ def checked_spread(
                 of.append(number[stretch[0]])
     if not below:
         return spread, None
-    told, groups = np.array(below), np.array(of)
-    factor = _widened(told, groups)
+    probabilities, groups = np.array(below), np.array(of)
+    factor = _widened(probabilities, groups)
     wider = replace(spread, run_share=spread.run_share * factor, correlation_m=spread.correlation_m * factor**2)
-    return wider, Reliability(told, groups, factor)
+    return wider, Reliability(probabilities, groups, factor)
 
 
 def _probability(spread: Spread, energy: FloatArray, predicted: FloatArray, std: FloatArray) -> float:

@@ -204,8 +204,8 @@ def _verdict(
     levels = _tested([c for c in chosen if between[c.form.name]])
     inside, across = model.test_within(tested, beside), model.test_between(tested, beside, levels)
     whole = across < inside
-    apart = isinstance(candidate.form, Change)  # whether the robot changed is another question than what it lacks
-    tests = sum(isinstance(c.form, Change) == apart for c in design.candidates)
+    in_time = isinstance(candidate.form, Change)  # whether the robot changed is another question than what it lacks
+    tests = sum(isinstance(c.form, Change) == in_time for c in design.candidates)
     p_value = min(1.0, 2.0 * tests * min(inside, across))
     if p_value > ALPHA:
         return Verdict(p_value, 0.0, nothing, whole, "not significant")

@@ -117,7 +117,7 @@ def path_of(numbers: Mapping[str, FloatArray]) -> float | None:
     Returns
     -------
     float or None
-        In metres, between about a hundred of them at least as far apart as the noise of a receiver; None without any.
+        In metres, between about a hundred of them, at distances of at least the noise of a receiver; None without any.
     """
     x, y, _ = _plane(numbers)
     if x.size < 2:

@@ -92,7 +92,7 @@ def cut_segments(
     run : Run
         With positions.
     length_m : float, optional
-        Nominal length of a segment [m]. Without it, 1 m, or more where fixes lie further apart
+        Nominal length of a segment [m]. Without it, 1 m, or more where the distance between fixes is larger
         (`joulemap.model.runs.arcs.segment_length`); of chords 1 m.
     charge : bool
         Integrate the current alone [A s], for logs without a voltage.

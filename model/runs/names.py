@@ -127,7 +127,7 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
     column : str
         Its name.
     unit : str, optional
-        That the file says apart from the name.
+        That the file gives separately from the name.
 
     Returns
     -------

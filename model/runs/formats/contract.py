@@ -39,7 +39,7 @@ class Stream:
     t : ndarray of float, (n,), optional
         Stamps [s]; None where they are one of the columns.
     units : dict of str to str
-        Of columns, where the file says them apart from the name.
+        Of columns, where the file gives them separately from the name.
     unread : dict of str to int
         By column of numbers, how many of its cells are none.
     """
