@@ -85,6 +85,7 @@ for _panel, _commands in (
     (
         "Plan",
         (
+            heightmaps.info,
             maps.costmap,
             maps.path,
             maps.feasibility,

@@ -16,7 +16,7 @@ from joulemap.model.field.robots import Ground
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.landforms import bumps, fractal
-from joulemap.model.terrain.survey import degrade
+from joulemap.model.terrain.survey import SurveyQuality, degrade
 from joulemap.model.terrain.synthesis import TerrainRecipe, make_terrain
 
 TRUE_RESOLUTION_M = 0.05
@@ -165,7 +165,21 @@ _NAMED: Mapping[str, tuple[Relief, str]] = {
     "grass_b": (_GRASS_B, "grass"),
     "dirt": (_DIRT, "dirt"),
 }
-_SURVEY_M = 0.1
+SURVEYS: Mapping[str, SurveyQuality] = {
+    "scanner": SurveyQuality(0.1, noise_m=0.004, smoothing_m=0.06),
+    "robot": SurveyQuality(0.1, noise_m=0.02, smoothing_m=0.05),
+    "drone": SurveyQuality(0.1, noise_m=0.03, correlation_m=0.2, smoothing_m=0.1),
+    "lidar": SurveyQuality(0.5, noise_m=0.05, smoothing_m=0.15),
+    "national": SurveyQuality(1.0, noise_m=0.1, smoothing_m=0.3, quantum_m=0.01),
+}
+"""Surveys as they are made: a scanner on a tripod, the robot's own lidar, photogrammetry from a drone, lidar from an
+aircraft for one site, and the terrain model of a country."""
+_SHARP = 0.5
+"""Share of the random surveys that blur nothing beyond the mean over a cell."""
+_NOISY, _NOISY_M = 0.5, (0.008, 0.16)
+"""Share of the random surveys that are noisier than a scanner's, and their noise [m]."""
+_CORRELATED, _ROUNDED = 0.25, 0.15
+"""Share of these whose noise is alike over some decimetres, and of all whose heights are rounded."""
 _ROLLING_SPREAD, _BUMP_SPREAD = 0.10, 0.05  # of the logarithms, between two meadows
 _PLASTIC = 1.324717957244746  # the plastic ratio, x**3 = x + 1
 
@@ -198,7 +212,7 @@ def named_site(name: str, *, seed: int = 0, width_m: float = 60.0, height_m: flo
     ground = _another_meadow(GROUNDS[kind], seed) if name == "grass_b" else GROUNDS[kind]
     rng = np.random.default_rng([seed, *name.encode()])
     frame = GridFrame(500000.0, 4980000.0, TRUE_RESOLUTION_M, _cells(height_m), _cells(width_m), "EPSG:32615")
-    return make_site(name, relief, ground, frame, rng, survey_m=_SURVEY_M)
+    return make_site(name, relief, ground, frame, rng, SURVEYS["scanner"])
 
 
 def random_site(
@@ -206,7 +220,7 @@ def random_site(
     *,
     max_slope_deg: float = 30.0,
     size_m: float = 30.0,
-    survey_m: float | None = None,
+    survey: SurveyQuality | None = None,
 ) -> Site:
     """Draw a site for pre-training: ground, relief, roughness and survey.
 
@@ -218,8 +232,8 @@ def random_site(
         Steepest slope that a site may have [deg].
     size_m : float, optional
         Side of the site [m].
-    survey_m : float, optional
-        Side of a cell of the survey [m]; drawn from 0.05 to 1 m by default.
+    survey : SurveyQuality, optional
+        How well it is surveyed; by default a survey by scanner is drawn, with cells of 0.05 to 1 m.
 
     Returns
     -------
@@ -249,19 +263,42 @@ def random_site(
         unevenness=float(rng.uniform(0.3, 1.2)),
     )
     ground = random_ground(rng)
-    if survey_m is None:
-        survey_m = float(rng.choice([0.05, 0.1, 0.1, 0.2, 0.25, 0.5, 1.0]))
+    if survey is None:
+        survey = _random_scan(rng)
     frame = GridFrame(0.0, size_m, TRUE_RESOLUTION_M, _cells(size_m), _cells(size_m))
-    return make_site(
-        "random",
-        relief,
-        ground,
-        frame,
-        rng,
-        survey_m=survey_m,
-        noise_m=float(rng.uniform(0.001, 0.012)),
-        smoothing_m=float(rng.uniform(0.02, 0.15)),
+    return make_site("random", relief, ground, frame, rng, survey)
+
+
+def _random_scan(rng: np.random.Generator) -> SurveyQuality:
+    resolution_m = float(rng.choice([0.05, 0.1, 0.1, 0.2, 0.25, 0.5, 1.0]))
+    return SurveyQuality(
+        resolution_m, noise_m=float(rng.uniform(0.001, 0.012)), smoothing_m=float(rng.uniform(0.02, 0.15))
     )
+
+
+def random_survey(rng: np.random.Generator) -> SurveyQuality:
+    """Draw a survey as somebody may have made it: half of them by scanner, the others with up to 160 mm of noise.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    SurveyQuality
+        Of a quarter of the noisy ones the noise is alike over up to 1 m; some heights are rounded.
+    """
+    quality = _random_scan(rng)
+    if rng.random() < _SHARP:
+        quality = replace(quality, smoothing_m=0.0)
+    if rng.random() < _NOISY:
+        quality = replace(quality, noise_m=math.exp(rng.uniform(*np.log(_NOISY_M))))
+        if rng.random() < _CORRELATED:
+            quality = replace(quality, correlation_m=float(rng.uniform(0.1, 1.0)))
+    if rng.random() < _ROUNDED:
+        quality = replace(quality, quantum_m=float(rng.choice([0.001, 0.01, 0.1])))
+    return quality
 
 
 def random_ground(rng: np.random.Generator) -> Ground:
@@ -295,10 +332,7 @@ def make_site(
     ground: Ground,
     frame: GridFrame,
     rng: np.random.Generator,
-    *,
-    survey_m: float,
-    noise_m: float = 0.004,
-    smoothing_m: float = 0.06,
+    survey: SurveyQuality,
 ) -> Site:
     """Build the terrain, the maps of rolling loss, and the survey.
 
@@ -314,10 +348,8 @@ def make_site(
         Where the true terrain lies.
     rng : numpy.random.Generator
         Source of randomness.
-    survey_m : float
-        Side of a cell of the survey [m].
-    noise_m, smoothing_m : float, optional
-        Noise and blur of the survey [m].
+    survey : SurveyQuality
+        How well it is surveyed.
 
     Returns
     -------
@@ -330,11 +362,11 @@ def make_site(
         If the survey is finer than the terrain.
     """
     seen = Heightmap(_relief(relief, frame, rng), frame, f"simulated {name}")
-    survey = degrade(seen, resolution_m=survey_m, noise_m=noise_m, smoothing_m=smoothing_m, rng=rng)
+    surveyed = degrade(seen, survey, rng=rng)
     finer = fractal(frame, rng, exponent=2.0, rms_m=1.0, longest_m=0.35)
     terrain = replace(seen, heights=seen.heights + np.float32(ground.tussock_m) * finer)
     explained, factor = _soil(seen.heights, ground, frame, rng)
-    return Site(name, terrain, survey, ground, factor, explained)
+    return Site(name, terrain, surveyed, ground, factor, explained)
 
 
 def _another_meadow(ground: Ground, seed: int) -> Ground:

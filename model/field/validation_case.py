@@ -27,7 +27,7 @@ from joulemap.model.field.logger import Logger, log_trace
 from joulemap.model.field.patterns import PATTERNS, drive_of
 from joulemap.model.field.robots import FieldRobot
 from joulemap.model.field.simulation import Trace, segment_gains, simulate_trace, take_ride, with_halts
-from joulemap.model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground
+from joulemap.model.field.sites import SURVEYS, TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.synthesis import TerrainRecipe
 from joulemap.model.terrain.writers import write_geotiff
@@ -277,7 +277,7 @@ def place(site_seed: int) -> tuple[Site, Site, FieldRobot]:
         cells = round(40.0 / TRUE_RESOLUTION_M), round(60.0 / TRUE_RESOLUTION_M)
         east = 500000.0 + float(rng.integers(0, 2000))
         frame = GridFrame(east, 4980000.0 + float(rng.integers(0, 2000)), TRUE_RESOLUTION_M, *cells, "EPSG:32615")
-        sites.append(make_site(name, relief, ground, frame, rng, survey_m=0.1).with_words(WORDS, rng))
+        sites.append(make_site(name, relief, ground, frame, rng, SURVEYS["scanner"]).with_words(WORDS, rng))
     return sites[0], sites[1], robot
 
 

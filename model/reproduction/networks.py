@@ -20,7 +20,7 @@ from joulemap.model.errors import ModelError
 from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.robot_dynamics import FieldRobot
 from joulemap.model.field.simulation import simulate_segments
-from joulemap.model.field.sites import random_site
+from joulemap.model.field.sites import SURVEYS, random_site
 from joulemap.model.reproduction.measured import Measured
 from joulemap.model.reproduction.profiles import STRATEGIES, Profile
 from joulemap.model.robot import Robot
@@ -133,7 +133,7 @@ def pretrained_backbone(out: Path, *, profile: Profile, seed: int) -> Path:
     parts = []
     for number in range(profile.backbone_sites):
         rng = np.random.default_rng([seed, 4, number])
-        site = random_site(rng, max_slope_deg=_BACKBONE_SLOPE_DEG, survey_m=0.1)
+        site = random_site(rng, max_slope_deg=_BACKBONE_SLOPE_DEG, survey=SURVEYS["scanner"])
         points = random_waypoints(site.drivable, _BACKBONE_WAYPOINTS, rng)
         drive = drive_along(points, speed_mps=truth.declared.speed_mps, rng=rng)
         found = simulate_segments(site, truth, drive, rng=rng)

@@ -71,7 +71,7 @@ class Heightmap:
     def __repr__(self) -> str:
         rows, cols = self.frame.shape
         side = self.resolution_m
-        low, high = self._height_range
+        low, high = self.height_range
         crs = self.frame.crs_in_words
         return (
             f"Heightmap {self.source}: {rows} x {cols} cells of {side:g} m ({cols * side:g} m east, {rows * side:g} m "
@@ -84,7 +84,8 @@ class Heightmap:
         return self.frame.resolution_m
 
     @cached_property
-    def _height_range(self) -> tuple[float, float]:
+    def height_range(self) -> tuple[float, float]:
+        """Lowest and highest known height [m]; NaN where none is known."""
         known = self.heights[~np.isnan(self.heights)]
         return (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
 

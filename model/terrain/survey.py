@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.random import Generator
@@ -12,21 +13,49 @@ from joulemap.model.errors import HeightmapError
 from joulemap.model.terrain.heightmap import Heightmap
 
 
-def degrade(
-    heightmap: Heightmap, *, resolution_m: float, noise_m: float = 0.0, smoothing_m: float = 0.0, rng: Generator
-) -> Heightmap:
+@dataclass(frozen=True, slots=True)
+class SurveyQuality:
+    """What a survey makes of the ground; all lengths in metres.
+
+    Attributes
+    ----------
+    resolution_m : float
+        Side of a cell.
+    noise_m : float
+        Standard deviation of the noise of a height.
+    correlation_m : float
+        Length over which the noise is alike (Gaussian); 0 for independent noise.
+    smoothing_m : float
+        Standard deviation of the Gaussian that blurs the heights first.
+    quantum_m : float
+        What heights are rounded to; 0 for no rounding.
+
+    Raises
+    ------
+    HeightmapError
+        If a length is negative or not finite.
+    """
+
+    resolution_m: float
+    noise_m: float = 0.0
+    correlation_m: float = 0.0
+    smoothing_m: float = 0.0
+    quantum_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(length) and length >= 0 for length in astuple(self)):
+            raise HeightmapError(f"lengths of a survey must be metres, not negative, got {self}")
+
+
+def degrade(heightmap: Heightmap, quality: SurveyQuality, *, rng: Generator) -> Heightmap:
     """Make a survey of a terrain, on coarser cells from the same north-west corner.
 
     Parameters
     ----------
     heightmap : Heightmap
         The terrain.
-    resolution_m : float
-        Side of a cell of the survey [m].
-    noise_m : float, optional
-        Standard deviation of independent noise in every cell [m].
-    smoothing_m : float, optional
-        Standard deviation of the Gaussian that blurs the heights first [m].
+    quality : SurveyQuality
+        Cells, noise, blur and rounding of the survey.
     rng : Generator
         Source of the noise.
 
@@ -38,23 +67,22 @@ def degrade(
     Raises
     ------
     HeightmapError
-        If `resolution_m` is finer than the terrain's, or a length is negative.
+        If the survey's cells are finer than the terrain's.
     """
     frame = heightmap.frame
+    resolution_m = quality.resolution_m
     if not resolution_m >= frame.resolution_m * (1.0 - 1e-9):
         raise HeightmapError(
             f"a survey at {resolution_m:g} m cannot be made of a coarser terrain, at {frame.resolution_m:g} m",
             resolution_m=str(resolution_m),
             limit=frame.resolution_m,
         )
-    if not (math.isfinite(noise_m) and noise_m >= 0 and math.isfinite(smoothing_m) and smoothing_m >= 0):
-        raise HeightmapError(f"noise_m and smoothing_m must be metres, not negative, got {noise_m} and {smoothing_m}")
     coarse = frame.respaced(resolution_m)
     known = ~np.isnan(heightmap.heights)
     base = float(np.nanmean(heightmap.heights, dtype=np.float64))
     heights = np.where(known, heightmap.heights - np.float32(base), np.float32(0.0))
-    if smoothing_m > 0.0:
-        sigma = smoothing_m / frame.resolution_m
+    if quality.smoothing_m > 0.0:
+        sigma = quality.smoothing_m / frame.resolution_m
         weight = ndimage.gaussian_filter(known.astype(np.float32), sigma, mode="nearest")
         blurred = ndimage.gaussian_filter(heights, sigma, mode="nearest")
         heights = np.where(known, blurred / np.maximum(weight, np.float32(1e-6)), np.float32(0.0))
@@ -63,8 +91,14 @@ def degrade(
     share = by_row @ (by_col @ known.astype(np.float64).T).T
     total = by_row @ (by_col @ heights.astype(np.float64).T).T
     mean = np.where(share >= 0.5, total / np.maximum(share, 1e-12), np.nan) + base
-    if noise_m > 0.0:
-        mean += noise_m * rng.standard_normal(mean.shape)
+    if quality.noise_m > 0.0:
+        noise = rng.standard_normal(mean.shape)
+        if quality.correlation_m > 0.0:
+            noise = ndimage.gaussian_filter(noise, quality.correlation_m / resolution_m / math.sqrt(2.0), mode="wrap")
+            noise /= noise.std()
+        mean += quality.noise_m * noise
+    if quality.quantum_m > 0.0:
+        mean = quality.quantum_m * np.round(mean / quality.quantum_m)
     return Heightmap(mean.astype(np.float32), coarse, source=f"survey of {heightmap.source}")
 
 

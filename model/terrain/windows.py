@@ -58,6 +58,10 @@ class Ground(Protocol):
     def noise_m(self) -> float:
         """Standard deviation of the noise of the survey [m]."""
 
+    @property
+    def given_noise_m(self) -> float | None:
+        """The same where the user gave it."""
+
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1).
 

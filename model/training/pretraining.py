@@ -26,7 +26,7 @@ from joulemap.model.training.simulated_set import MAX_SLOPE_DEG, ROBOTS_PER_SITE
 PRETRAINING = TrainingOptions(
     epochs=14, patience=14, batch=512, learning_rate=2e-3, weight_decay=0.05, feature_jitter=0.1
 )
-DEFAULT_SITES = 2000
+DEFAULT_SITES = 4000
 DEFAULT_SEED = 20261121
 """The shipped network's seed and number of sites."""
 CARD_FILE = "MODEL_CARD.md"

@@ -22,15 +22,18 @@ from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.robot_dynamics import FieldRobot, Ground
 from joulemap.model.field.simulation import simulate_segments, simulate_trace
 from joulemap.model.field.sites import (
+    SURVEYS,
     TRUE_RESOLUTION_M,
     Relief,
     Site,
     make_site,
     random_ground,
     random_site,
+    random_survey,
 )
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.model.terrain.survey import SurveyQuality, degrade
 from joulemap.model.terrain.synthesis import TerrainRecipe
 
 ROBOTS_PER_SITE = 3
@@ -41,6 +44,7 @@ MAX_SLOPE_DEG = 30.0
 """Slopes of the sites reach up to this."""
 _SITE_M = 30.0
 _SMOOTH_SHARE = 0.2
+_ALL_SEEN = 0.5  # share of the surveys that show the finest relief too, which vegetation hides in the others
 _DECLARED_SPREAD = 0.08  # how well an owner knows the rolling resistance (standard deviation of its logarithm)
 
 
@@ -94,7 +98,13 @@ def make_pretraining_set(
 
 def _one_site(seed: int, number: int) -> Examples:
     rng = np.random.default_rng([seed, number])
-    site = smooth_site(rng) if rng.random() < _SMOOTH_SHARE else random_site(rng, max_slope_deg=MAX_SLOPE_DEG)
+    survey = random_survey(rng)
+    if rng.random() < _SMOOTH_SHARE:
+        site = smooth_site(rng, survey)
+    else:
+        site = random_site(rng, max_slope_deg=MAX_SLOPE_DEG, survey=survey)
+    if rng.random() < _ALL_SEEN:
+        site = replace(site, survey=degrade(site.terrain, survey, rng=rng))
     level = level_ground(site.ground, rng)
     return concatenate(
         [_drive_once(site, level, rng, run=number * ROBOTS_PER_SITE + k) for k in range(ROBOTS_PER_SITE)]
@@ -150,7 +160,7 @@ def level_ground(ground: Ground, rng: np.random.Generator) -> Site:
     """
     frame = GridFrame(0.0, 4.0, TRUE_RESOLUTION_M, 80, 320)
     even = Relief(TerrainRecipe(max_slope_deg=0.0, roughness_rms_m=0.0), rough_m=0.0, tussocks_per_m2=0.0)
-    return make_site("level", even, ground, frame, rng, survey_m=0.1)
+    return make_site("level", even, ground, frame, rng, SURVEYS["scanner"])
 
 
 def rolling_resistance_on(level: Site, ground: Ground, robot: FieldRobot) -> float:
@@ -177,13 +187,15 @@ def rolling_resistance_on(level: Site, ground: Ground, robot: FieldRobot) -> flo
     return energy / drive.length_m / robot.declared.weight_n
 
 
-def smooth_site(rng: np.random.Generator) -> Site:
+def smooth_site(rng: np.random.Generator, survey: SurveyQuality | None = None) -> Site:
     """Draw a road, a lawn or a slab: usual slopes, hardly any roughness. `random_site` draws no ground as smooth.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Draws it.
+    survey : SurveyQuality, optional
+        How well it is surveyed; drawn as by a scanner by default.
 
     Returns
     -------
@@ -202,16 +214,13 @@ def smooth_site(rng: np.random.Generator) -> Site:
     ground = replace(random_ground(rng), tussock_m=0.002 * float(rng.random()))
     cells = round(_SITE_M / TRUE_RESOLUTION_M)
     frame = GridFrame(0.0, _SITE_M, TRUE_RESOLUTION_M, cells, cells)
-    return make_site(
-        "smooth",
-        relief,
-        ground,
-        frame,
-        rng,
-        survey_m=float(rng.choice([0.05, 0.1, 0.2, 0.25, 0.5, 1.0])),
-        noise_m=float(rng.uniform(0.0, 0.008)),
-        smoothing_m=float(rng.uniform(0.02, 0.15)),
-    )
+    if survey is None:
+        survey = SurveyQuality(
+            float(rng.choice([0.05, 0.1, 0.2, 0.25, 0.5, 1.0])),
+            noise_m=float(rng.uniform(0.0, 0.008)),
+            smoothing_m=float(rng.uniform(0.02, 0.15)),
+        )
+    return make_site("smooth", relief, ground, frame, rng, survey)
 
 
 def _drive_once(site: Site, level: Site, rng: np.random.Generator, *, run: int) -> Examples:

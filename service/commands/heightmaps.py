@@ -1,4 +1,4 @@
-"""`joulemap heightmap`: a heightmap of the positions that a robot drove over, where there is no survey."""
+"""`joulemap info`: what a heightmap holds and can show; `joulemap heightmap`: one of the positions that were driven."""
 
 from __future__ import annotations
 
@@ -7,8 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from joulemap.model.terrain.formats import formats_in_words
 from joulemap.service.commands.console import JsonFile, Output, progress_bar, write_file
-from joulemap.service.commands.options import Overwrite, find_runs, refuse_to_replace
+from joulemap.service.commands.options import (
+    Overwrite,
+    Reading,
+    RobotFile,
+    find_runs,
+    reads_heightmap,
+    refuse_to_replace,
+    robot_of,
+    there,
+)
 from joulemap.service.words import runs_words
 
 if TYPE_CHECKING:
@@ -16,6 +26,65 @@ if TYPE_CHECKING:
 
 CAMPAIGN_FILE = "campaign.toml"
 """What `--each` writes beside the maps: which run belongs to which map."""
+
+
+@reads_heightmap
+def info(
+    heightmap: Annotated[Path, typer.Argument(metavar="HEIGHTMAP", callback=there, help=f"{formats_in_words()}.")],
+    robot: RobotFile = None,
+    json_file: JsonFile = None,
+    *,
+    reading: Reading,
+) -> None:
+    """Say **what a heightmap holds**: cells, place, heights, holes, the noise of its survey, and what it can show.
+
+    Whether slopes, bumps and kerbs can be seen depends on cells, noise and the robot's wheels.
+
+    Examples:
+
+    `joulemap info dem.tif --robot robot.toml`
+
+    `joulemap info heights.png --resolution 0.5 --scale 0.01`
+    """
+    from dataclasses import asdict
+
+    from joulemap.model.terrain.plausible import heightmap_warnings
+    from joulemap.model.terrain.readers import open_ground
+    from joulemap.model.terrain.windows import overview
+    from joulemap.planner.lattice.visible import visible_features
+
+    output = Output(json_file)
+    rover, ground = robot_of(robot), open_ground(heightmap, **reading)
+    frame, seen = ground.frame, visible_features(ground, rover)
+    low, high = overview(ground).height_range
+    output.say(ground.source, head="Heightmap")
+    output.table(
+        {
+            "cells": f"{frame.rows} rows x {frame.cols} columns of {frame.resolution_m:g} m",
+            "place": "{:.9g}, {:.9g} to {:.9g}, {:.9g}".format(*frame.bounds) + f", {frame.crs_in_words}",
+            "heights": f"{low:.2f} to {high:.2f} m",
+            "unknown": f"{1.0 - ground.known_share:.2%}",
+            "noise": f"{1000.0 * seen.noise_m:.1f} mm, "
+            + ("given" if seen.noise_given else "estimated from what differs from cell to cell"),
+            **dict(zip(("slopes", "bumps", "steps"), seen.in_words(rover), strict=True)),
+        }
+    )
+    output.warn([*ground.notes, *heightmap_warnings(ground)])
+    output.document(
+        {
+            "source": ground.source,
+            "rows": frame.rows,
+            "cols": frame.cols,
+            "resolution_m": frame.resolution_m,
+            "bounds": list(frame.bounds),
+            "crs": frame.crs,
+            "heights_m": [low, high],
+            "known_share": ground.known_share,
+            **asdict(seen),
+            "notes": list(ground.notes),
+            "warnings": heightmap_warnings(ground),
+        }
+    )
 
 
 def heightmap(

@@ -30,6 +30,16 @@ class SiteName(StrEnum):
     RANDOM = "random"
 
 
+class SurveyName(StrEnum):
+    """How a simulated site is surveyed."""
+
+    SCANNER = "scanner"
+    ROBOT = "robot"
+    DRONE = "drone"
+    LIDAR = "lidar"
+    NATIONAL = "national"
+
+
 class DriveName(StrEnum):
     """How a simulated site is driven."""
 
@@ -67,6 +77,15 @@ def simulate(
     drive: Annotated[
         DriveName, typer.Option(help="Parallel lines, or from one random point to the next.")
     ] = DriveName.LAWNMOWER,
+    survey: Annotated[
+        SurveyName | None,
+        typer.Option(
+            help="Who surveyed dem.tif, of the same ground: a scanner on a tripod (noise of 4 mm, cells of 0.1 m), the "
+            "robot's own lidar (20 mm, 0.1 m), a drone's camera (30 mm, alike over 0.2 m, 0.1 m), lidar from an "
+            "aircraft (50 mm, 0.5 m) or a country's terrain model (100 mm, 1 m). [default: scanner, for a random site "
+            "with cells of 0.05 to 1 m]",
+        ),
+    ] = None,
     runs: Annotated[int, typer.Option(min=1, max=99, metavar="N", help="Number of runs.")] = 4,
     robot: RobotFile = None,
     hidden: Annotated[
@@ -113,13 +132,18 @@ def simulate(
     from joulemap.model.field.drives import Drive, drive_along, lawnmower, random_waypoints
     from joulemap.model.field.logger import RunLog, simulate_run
     from joulemap.model.field.robot_dynamics import FieldRobot
-    from joulemap.model.field.sites import named_site, random_site
+    from joulemap.model.field.sites import SURVEYS, named_site, random_site
+    from joulemap.model.terrain.survey import degrade
     from joulemap.model.terrain.writers import write_geotiff
     from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on
 
     output = Output(json_file)
     rng = np.random.default_rng([seed, 1])
     place = random_site(np.random.default_rng(seed)) if site is SiteName.RANDOM else named_site(site.value, seed=seed)
+    if survey is not None:
+        place = replace(
+            place, survey=degrade(place.terrain, SURVEYS[survey.value], rng=np.random.default_rng([seed, 3]))
+        )
     declared = robot_of(robot)
     truth = FieldRobot.drawn(declared, rng)
     if robot is None:
@@ -164,6 +188,7 @@ def simulate(
             "runs": files,
             "length_m": metres,
             "seed": seed,
+            "survey": None if survey is None else survey.value,
             "day": today,
             "hidden": [str(name) for name in hidden or ()],
         }

@@ -23,7 +23,7 @@ from joulemap.model.field.simulation import simulate_segments
 from joulemap.model.field.sites import random_site
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.survey import degrade
+from joulemap.model.terrain.survey import SurveyQuality, degrade
 from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on, smooth_site
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.build import build_lattice
@@ -64,7 +64,7 @@ def measure(sites: int, *, correlation_m: float, told: bool, as_surveyed: bool, 
         straight = np.abs(driven.heading_change_rad) < MAX_TURN_RAD
         places = driven.x[straight], driven.y[straight], driven.heading_rad[straight]
         for cells_m in CELLS_M:
-            clean = degrade(site.terrain, resolution_m=cells_m, rng=rng)
+            clean = degrade(site.terrain, SurveyQuality(cells_m), rng=rng)
             frame = clean.frame.respaced(1.0)
             steps = ground_limits(site.terrain, frame, declared)[2] == Blocked.STEP
             unit = drawn_noise(clean.frame.shape, cells_m, correlation_m, rng)
@@ -94,7 +94,7 @@ def routes(sites: int, *, as_surveyed: bool, seed: int) -> None:
         site = smooth_site(rng) if number % 4 == 0 else random_site(rng, max_slope_deg=20.0)
         ends = rng.uniform(4.0, 26.0, (3, 2, 2))
         for cells_m in (0.25, 1.0):
-            clean = degrade(site.terrain, resolution_m=cells_m, rng=rng)
+            clean = degrade(site.terrain, SurveyQuality(cells_m), rng=rng)
             unit = rng.standard_normal(clean.frame.shape)
             for name in MODELS:
                 model = load_predictor(name)

@@ -13,7 +13,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.denoising import LEAST_NOISE_M, MARGIN_CELLS, denoised, noise_of
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import open_ground, read_heightmap
-from joulemap.model.terrain.survey import degrade
+from joulemap.model.terrain.survey import SurveyQuality, degrade
 from joulemap.model.terrain.windows import window_without_noise
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.model.training.simulated_set import smooth_site
@@ -28,7 +28,7 @@ def surveys(cells_m, *, smooth, seed=3):
     """A simulated ground surveyed without noise, and the generator of its noise."""
     rng = np.random.default_rng(seed)
     site = smooth_site(rng) if smooth else random_site(rng, max_slope_deg=20.0)
-    return degrade(site.terrain, resolution_m=cells_m, rng=rng), rng
+    return degrade(site.terrain, SurveyQuality(cells_m), rng=rng), rng
 
 
 def noisy(clean, noise_m, rng):

@@ -83,4 +83,4 @@ def test_segments_trace_log_and_the_state_of_the_generator_are_pinned(pinned):
 
 def test_the_pretraining_set_is_pinned():
     examples = make_pretraining_set(sites=2, seed=5)
-    assert figures(examples.energy_j) == pinned_at([890, 108.666927, -4.14090969])
+    assert figures(examples.energy_j) == pinned_at([812, 137.734738, 1.46708047])

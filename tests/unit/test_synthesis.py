@@ -12,7 +12,7 @@ from joulemap.model.errors import HeightmapError, InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain import landforms
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.survey import degrade
+from joulemap.model.terrain.survey import SurveyQuality, degrade
 from joulemap.model.terrain.synthesis import (
     HILLSIDE,
     PARK,
@@ -153,7 +153,7 @@ def test_the_sample_terrain_has_a_knoll_between_start_and_goal_and_a_pond() -> N
 
 def test_a_survey_at_the_same_resolution_without_blur_is_the_terrain() -> None:
     heightmap = make_terrain(PARK, SITE, rng())
-    same = degrade(heightmap, resolution_m=0.1, rng=rng())
+    same = degrade(heightmap, SurveyQuality(0.1), rng=rng())
     np.testing.assert_allclose(same.heights, heightmap.heights, atol=1e-6)
 
 
@@ -166,7 +166,7 @@ def test_a_survey_averages_over_its_cells(resolution_m: float) -> None:
     within_m = 1e-4 + (0.0 if whole else (0.3 + 0.1) * 0.1**2 / 8.0 / resolution_m)
     x, y = SITE.centres()
     plane = Heightmap(0.3 * x[None, :] + 0.1 * y[:, None] + 500.0, SITE)
-    coarse = degrade(plane, resolution_m=resolution_m, rng=rng())
+    coarse = degrade(plane, SurveyQuality(resolution_m), rng=rng())
     cx, cy = coarse.frame.centres()
     np.testing.assert_allclose(coarse.heights, 0.3 * cx[None, :] + 0.1 * cy[:, None] + 500.0, rtol=0, atol=within_m)
 
@@ -174,20 +174,20 @@ def test_a_survey_averages_over_its_cells(resolution_m: float) -> None:
 def test_a_survey_keeps_the_mean_and_the_unknown() -> None:
     heights = make_terrain(PARK, SITE, rng()).heights.copy()
     heights[100:150, 200:300] = np.nan
-    coarse = degrade(Heightmap(heights, SITE), resolution_m=1.0, smoothing_m=0.3, rng=rng())
+    coarse = degrade(Heightmap(heights, SITE), SurveyQuality(1.0, smoothing_m=0.3), rng=rng())
     assert np.isnan(coarse.heights).sum() == 5 * 10
     assert np.isnan(coarse.heights[10:15, 20:30]).all()
-    whole = degrade(make_terrain(PARK, SITE, rng()), resolution_m=1.0, rng=rng())
+    whole = degrade(make_terrain(PARK, SITE, rng()), SurveyQuality(1.0), rng=rng())
     block = make_terrain(PARK, SITE, rng()).heights.reshape(40, 10, 60, 10).mean(axis=(1, 3))
     np.testing.assert_allclose(whole.heights, block, atol=1e-6)
 
 
 def test_survey_noise_and_smoothing_have_their_size() -> None:
     flat = Heightmap(np.zeros(SITE.shape), SITE)
-    assert degrade(flat, resolution_m=0.2, noise_m=0.03, rng=rng()).heights.std() == pytest.approx(0.03, rel=0.03)
+    assert degrade(flat, SurveyQuality(0.2, noise_m=0.03), rng=rng()).heights.std() == pytest.approx(0.03, rel=0.03)
     x, _ = SITE.centres()
     wave = Heightmap(np.broadcast_to(np.sin(x * math.tau / 4.0), SITE.shape), SITE)  # 4 m long
-    smooth = degrade(wave, resolution_m=0.1, smoothing_m=0.5, rng=rng())
+    smooth = degrade(wave, SurveyQuality(0.1, smoothing_m=0.5), rng=rng())
     # A Gaussian of deviation s keeps exp(-(k s)^2 / 2) of a wave k.
     kept = math.exp(-0.5 * (math.tau / 4.0 * 0.5) ** 2)
     assert np.abs(smooth.heights[:, 50:-50]).max() == pytest.approx(kept, rel=0.01)
@@ -195,6 +195,6 @@ def test_survey_noise_and_smoothing_have_their_size() -> None:
 
 def test_a_survey_cannot_be_finer_than_the_terrain() -> None:
     with pytest.raises(HeightmapError, match="coarser"):
-        degrade(make_terrain(PARK, SITE, rng()), resolution_m=0.05, rng=rng())
+        degrade(make_terrain(PARK, SITE, rng()), SurveyQuality(0.05), rng=rng())
     with pytest.raises(HeightmapError, match="noise_m"):
-        degrade(make_terrain(PARK, SITE, rng()), resolution_m=0.5, noise_m=-1.0, rng=rng())
+        degrade(make_terrain(PARK, SITE, rng()), SurveyQuality(0.5, noise_m=-1.0), rng=rng())

@@ -1,0 +1,78 @@
+"""What a survey can show of the ground to a robot: slopes, bumps and steps, by its cells and its noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.denoising import LEAST_NOISE_M
+from joulemap.model.terrain.windows import Ground
+from joulemap.planner.lattice.limits import SQUARE_M, STEP_IN_NOISE
+
+BUMP_IN_NOISE = 2.0
+"""A bump of so many standard deviations of the noise, a few cells wide, is half kept where noise is taken out: its
+details have about the noise's own variance in `model.terrain.denoising`."""
+
+
+@dataclass(frozen=True, slots=True)
+class VisibleFeatures:
+    """What a survey can show.
+
+    Attributes
+    ----------
+    noise_m : float
+        Standard deviation of its heights [m].
+    noise_given : bool
+        Whether the user gave it; else it was estimated.
+    slope_std_deg : float
+        Standard deviation of the slope of a square metre [deg].
+    least_bump_m : float
+        Height of the lowest bumps that are mostly kept [m].
+    shortest_bump_m : float
+        Length of the shortest [m]: two cells.
+    least_step_m : float or None
+        Height of the lowest steps that are mostly found [m]; None where the cells are wider than a wheel.
+    """
+
+    noise_m: float
+    noise_given: bool
+    slope_std_deg: float
+    least_bump_m: float
+    shortest_bump_m: float
+    least_step_m: float | None
+
+    def in_words(self, robot: Robot) -> tuple[str, str, str]:
+        """Return a sentence on slopes, on bumps and on steps, for this robot."""
+        slopes = f"within {self.slope_std_deg:.1g} degrees over {SQUARE_M:g} m"
+        wheel_m = 2.0 * robot.wheel_radius_m
+        bumps = f"those longer than {self.shortest_bump_m:.2g} m and higher than {1000 * self.least_bump_m:.0f} mm"
+        if self.shortest_bump_m > 4.0 * wheel_m:
+            bumps += f"; shorter ones, which wheels of {wheel_m:g} m feel, are not in the energies"
+        if self.least_step_m is None:
+            steps = f"none: cells are wider than a wheel of {wheel_m:g} m"
+        elif self.least_step_m > robot.wheel_radius_m:
+            steps = (
+                f"those of {self.least_step_m:.2g} m and more; lower ones, which stop {robot.name} from "
+                f"{robot.wheel_radius_m:g} m on, may be hidden"
+            )
+        else:
+            steps = f"all that stop {robot.name}, from {robot.wheel_radius_m:g} m on"
+        return slopes, bumps, steps
+
+
+def visible_features(ground: Ground, robot: Robot) -> VisibleFeatures:
+    """Return what a map of any size can show to a robot."""
+    cells_m, noise_m = ground.frame.resolution_m, ground.noise_m
+    per_side = max(SQUARE_M / cells_m, 1.0) + 1.0
+    # least-squares plane through n x n heights a cell apart: variance of the slope 12 s2 / (n2 (n2 - 1) c2)
+    slope = noise_m / cells_m * math.sqrt(12.0 / (per_side**2 * (per_side**2 - 1.0)))
+    shown = max(noise_m, LEAST_NOISE_M)
+    return VisibleFeatures(
+        noise_m,
+        ground.given_noise_m is not None,
+        math.degrees(math.atan(slope)),
+        BUMP_IN_NOISE * shown,
+        2.0 * cells_m,
+        STEP_IN_NOISE * shown if cells_m <= 2.0 * robot.wheel_radius_m else None,
+    )
