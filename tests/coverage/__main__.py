@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from joulemap.model.energy.uncertainty import fit_spread
+from joulemap.model.field.sites import SURVEYS
 from tests.coverage.real import cuadriga, drive, keep, kept, left_out, real_folder, routes_of
 from tests.coverage.scores import Judged, columns_of, judged, scores, taken
 from tests.coverage.simulated import simulated
@@ -30,13 +31,19 @@ def main() -> None:
     parser.add_argument("--simulated", action="store_true", help="only the simulated sites")
     parser.add_argument("--real", action="store_true", help="only the real runs")
     parser.add_argument("--sites", type=int, default=300, metavar="N", help="simulated sites, a drive on each (300)")
+    parser.add_argument(
+        "--survey", choices=SURVEYS, help="only simulated sites, as this survey shows them, by the network's own spread"
+    )
     parser.add_argument("--kept", type=Path, metavar="DIR", help="keep all predictions here, or read them")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write all figures here")
     asked = parser.parse_args()
     figures: dict[str, Any] = {}
-    if not asked.real:
+    if asked.survey is not None:
+        held, _, spread = simulated(asked.sites, survey=SURVEYS[asked.survey])
+        figures[asked.survey] = _say(asked.survey, [judged(asked.survey, spread, held, shortest=20, longest=300)])
+    elif not asked.real:
         figures["simulated"] = _simulated(asked.sites, asked.kept)
-    if not asked.simulated:
+    if asked.survey is None and not asked.simulated:
         folder = real_folder()
         if folder is None:
             print("real runs: skipped, there are none here (set JOULEMAP_REAL_DATA to their folder)")
@@ -51,7 +58,7 @@ def _simulated(sites: int, keeping: Path | None) -> dict[str, Any]:
     there = keeping / "simulated" if keeping is not None else None
     found = kept(there) if there is not None else {}
     if not found:
-        held, eq5 = simulated(sites)
+        held, eq5, _ = simulated(sites)
         found = {"sites": (held, replace(held, predicted=eq5))}
         if there is not None:
             keep(there, found)

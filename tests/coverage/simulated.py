@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.robot_dynamics import FieldRobot
 from joulemap.model.field.simulation import simulate_segments, simulate_trace
 from joulemap.model.field.sites import Site, random_site
 from joulemap.model.robot import Robot
+from joulemap.model.terrain.survey import SurveyQuality
 from joulemap.model.training.simulated_set import (
     MAX_SLOPE_DEG,
     MU_RANGE,
@@ -27,19 +29,26 @@ SEED = 20261123
 SMOOTH_SHARE, DECLARED_SPREAD = 0.2, 0.08  # as the shipped network was trained
 
 
-def simulated(sites: int, *, seed: int = SEED) -> tuple[Held, np.ndarray]:
-    """Held-out segments of the shipped network, with its own deviations before any factor; and those of `physics`."""
+def simulated(sites: int, *, seed: int = SEED, survey: SurveyQuality | None = None) -> tuple[Held, np.ndarray, Spread]:
+    """Held-out segments of the shipped network, with its own deviations before any factor; those of `physics`; and the
+    network's own spread.
+
+    survey : of every site; drawn as by scanners where None.
+    """
     network, physics = load_predictor("default"), load_predictor("physics")
     parts: list[tuple[np.ndarray, ...]] = []
     for number in range(sites):
         rng = np.random.default_rng([seed, number])
-        site = smooth_site(rng) if rng.random() < SMOOTH_SHARE else random_site(rng, max_slope_deg=MAX_SLOPE_DEG)
+        if rng.random() < SMOOTH_SHARE:
+            site = smooth_site(rng, survey)
+        else:
+            site = random_site(rng, max_slope_deg=MAX_SLOPE_DEG, survey=survey)
         level = level_ground(site.ground, rng)
         declared, truth, here = _robot(site, level, rng)
         points = random_waypoints(site.drivable, int(rng.integers(4, 26)), rng)
         drive = drive_along(points, speed_mps=declared.speed_mps, rng=rng)
         driven = simulate_segments(here, truth, drive, rng=rng, max_driven_m=3.0)
-        places = site.survey, declared, driven.x, driven.y, driven.heading_rad
+        places = site.survey.without_noise, declared, driven.x, driven.y, driven.heading_rad
         traction, std = network.segment_traction_and_std(*places)
         plain = physics.segment_traction(*places)
         assert std is not None
@@ -50,7 +59,7 @@ def simulated(sites: int, *, seed: int = SEED) -> tuple[Held, np.ndarray]:
         run = np.full(known.sum(), number)
         parts.append((driven.energy_j[known], said[known], own[known], eq5[known], run))
     measured, predicted, std_j, eq5_j, runs = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return Held(measured, predicted, std_j, runs, runs), eq5_j
+    return Held(measured, predicted, std_j, runs, runs), eq5_j, network.spread
 
 
 def _robot(site: Site, level: Site, rng: np.random.Generator) -> tuple[Robot, FieldRobot, Site]:
