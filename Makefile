@@ -26,12 +26,12 @@ test-slow: $(INSTALLED) ## the tests that take minutes
 bench: $(INSTALLED) ## seconds for every step, compared with SciPy, on this machine
 	$(BIN)/python -m tests.bench $(ARGS)
 
-lint: $(INSTALLED) ## ruff, mypy, the layers of the architecture, and every public docstring
+lint: $(INSTALLED) ## ruff, mypy, the layers of the architecture, docstrings of what users call
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/numpydoc lint $$(find joulemap/__init__.py model planner service -name '*.py')
+	$(BIN)/python -m tests.docs.docstrings
 
 format: $(INSTALLED) ## let ruff correct what it can
 	$(BIN)/ruff check --fix .

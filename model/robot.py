@@ -248,7 +248,7 @@ def _hint(name: str, value: Any, known: Sequence[str]) -> str:
 
 
 def _lines_of(keys: Sequence[str], text: str) -> str:
-    """ ", line 3" or ", lines 2 and 3" of a TOML text that gives these keys, in its order; "" where none is found."""
+    """Return ", line 3" or ", lines 2 and 3" of a TOML text that gives these keys, in its order; "" for none."""
     found = []
     for number, line in enumerate(text.splitlines(), start=1):
         for key in keys:

@@ -278,8 +278,10 @@ def _between(cells: NDArray[np.int64], taken: list[int], values: NDArray[np.floa
 
 @njit(cache=True, nogil=True)
 def _interpolate(cells, values, where, first, out):
-    """Fill rows `first` and after by values at cells, weighted by the inverse fourth power of the distance (Shepard
-    1968)."""
+    """Fill rows `first` and after by values at cells, weighted by the inverse fourth power of the distance.
+
+    Reference: Shepard 1968.
+    """
     rows, cols = out.shape
     for i in range(rows):
         for j in range(cols):

@@ -346,8 +346,7 @@ def _stack_stencils(pieces):
 
 
 def _stack_pieces(pieces):
-    """Per move and piece: its part of the move, the number of cells that it touches, these, and their weights at its
-    middle and end."""
+    """Per move and piece: its part of the move, its number of cells, these, and their weights at its middle and end."""
     size = len(pieces), max(len(move) for move in pieces)
     part, corners = np.zeros(size), np.zeros(size, dtype=np.int64)
     corner, blend = np.zeros((*size, 4, 2), dtype=np.int64), np.zeros((*size, 2, 4))
