@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from tests.load import Connection, Server, _cost_map, _until_ready
+from tests.load import Connection, Server, _cost_map, until_ready
 
 CELLS = 1000
 QUESTIONS = 100
@@ -29,7 +29,7 @@ def compare_return() -> Table:
 
 async def _asked(server: Server) -> Table:
     robot = Connection(server.port)
-    await _until_ready(server, robot)
+    await until_ready(server, robot)
     costmap, _ = await _cost_map(robot, CELLS)
     place = f"/v1/costmaps/{costmap}"
     ends = {"start": [50.0, 50.0], "goal": [950.0, 900.0], "snap": True}
