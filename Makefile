@@ -40,8 +40,8 @@ format: $(INSTALLED) ## let ruff correct what it can
 docs: $(INSTALLED) ## build the documentation into build/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-openapi: $(INSTALLED) ## write openapi/openapi.json again
-	$(BIN)/joulemap openapi --out openapi/openapi.json
+openapi: $(INSTALLED) ## write openapi/openapi.json, its hash and the list of operations
+	$(BIN)/python -m tests.service.api_digest
 
 clean: ## remove caches and the demo's output (data/ and $(VENV) stay)
 	rm -rf build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -65,7 +65,7 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the pages that are generated and the files that live elsewhere."""
     made = {
         "reference/cli.md": cli_page(),
-        "reference/http.md": http_page(ROOT / "openapi/openapi.json"),
+        "reference/http.md": http_page(),
         "reference/settings.md": settings_page(),
     }
     for uri, content in made.items():

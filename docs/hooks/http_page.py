@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 _INTRO = """# HTTP
 
-This page is made from `openapi/openapi.json`, which a running service answers at `/openapi.json`. `/docs` of a running
+This page is made from the OpenAPI document, which a running service answers at `/openapi.json`. `/docs` of a running
 service is the same document as a page where every question can be tried; it works without the internet.
 
 Errors are [RFC 9457](https://www.rfc-editor.org/rfc/rfc9457) problems: `detail` says in words what is wrong, `code`
@@ -20,9 +19,11 @@ _METHODS = ("get", "post", "put", "patch", "delete")
 _MODELS = "#/components/schemas/"
 
 
-def http_page(openapi_json: Path) -> str:
+def http_page() -> str:
     """The page, in Markdown."""
-    document = json.loads(openapi_json.read_text(encoding="utf-8"))
+    from joulemap.service.http.app import openapi_document
+
+    document = openapi_document()
     lines = [
         _INTRO,
         f"Version {document['info']['version']}. {_plain(document['info']['description'])}",

@@ -54,10 +54,10 @@ def test_every_command_and_option_is_on_the_page_of_the_command_line(site: Path)
 
 
 def test_every_endpoint_and_field_is_on_the_page_of_http(site: Path) -> None:
-    import json
+    from joulemap.service.http.app import openapi_document
 
     text = unescape((site / "reference/http.html").read_text(encoding="utf-8"))
-    document = json.loads((ROOT / "openapi/openapi.json").read_text(encoding="utf-8"))
+    document = openapi_document()
     for path, methods in document["paths"].items():
         assert all(f"{method.upper()} {path}</code>" in text for method in methods), path
     for name, schema in document["components"]["schemas"].items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -96,8 +95,9 @@ def test_help_of_every_command(command: str) -> None:
 
 
 def test_descriptions_of_http() -> None:
-    document = json.loads((ROOT / "openapi/openapi.json").read_text(encoding="utf-8"))
-    texts = list(_descriptions(document))
+    from joulemap.service.http.app import openapi_document
+
+    texts = list(_descriptions(openapi_document()))
     assert len(texts) > 100
     assert not [words for text in texts for words in found_in(text)]
 
