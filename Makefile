@@ -26,12 +26,13 @@ test-slow: $(INSTALLED) ## the tests that take minutes
 bench: $(INSTALLED) ## seconds for every step, compared with SciPy, on this machine
 	$(BIN)/python -m tests.bench $(ARGS)
 
-lint: $(INSTALLED) ## ruff, mypy, the layers of the architecture, docstrings of what users call
+lint: $(INSTALLED) ## ruff, mypy, the layers of the architecture, docstrings of what users call, the budget of the code
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m tests.docs.docstrings
+	$(BIN)/python -m tests.budget
 
 format: $(INSTALLED) ## let ruff correct what it can
 	$(BIN)/ruff check --fix .
