@@ -5,7 +5,7 @@ ARGS ?=
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.joulemap-installed
 
-.PHONY: help demo test test-slow bench lint format docs openapi clean distclean
+.PHONY: help demo check test test-slow bench lint format docs openapi clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -16,6 +16,13 @@ demo: $(INSTALLED) ## start the service, ask it everything, draw a picture (ARGS
 # A process for each core; the tests of a file stay together, because they share what is made for them, and the files
 # that take long come first (tests/conftest.py).
 PARALLEL := -n logical --maxprocesses 8 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+
+# Files of tests/unit that take seconds and touch every room: the loop while writing code.
+QUICK := battery budget chunks edges frames heightmap held_readings lattice log_tables metrics mixed_model patches physics \
+	places point_clouds polylines readers reproject risk robot run_words settings smoothing speeds
+
+check: lint ## the linters and the quickest unit tests, in under two minutes
+	$(BIN)/python -m pytest $(PARALLEL) $(QUICK:%=tests/unit/test_%.py) $(ARGS)
 
 test: lint ## what must pass before a change is taken: linters, types, layers, documentation, tests
 	$(BIN)/python -m pytest -m "not slow" $(PARALLEL) $(ARGS)
