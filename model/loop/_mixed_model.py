@@ -30,6 +30,8 @@ error is over thirty times that of the column alone."""
 RUN_SPREAD = 0.25
 """Setting: share of the energy by which runs of one robot usually differ at most for unknown reasons; those of the
 shipped model differ by 19 %."""
+CERTAINLY_NOT = 0.01
+"""p-value of a single test, above which nobody asks how much above."""
 _ROUNDING = 1e-9
 _LARGE = 1e6  # variance between units over that of the noise: as good as fixed levels
 _ROUNDS = 3  # the variance between units follows the coefficients and the coefficients the variance
@@ -94,6 +96,7 @@ class MixedModel:
         self._h = np.stack([every[part, -2] @ every[part] for part in parts])  # (U, k + 2), levels with columns
         self._gamma = np.maximum(self._h[:, -2], 1e-12)
         self._energies, self._parts = energies, parts
+        self._products: FloatArray | None = None  # (U, k + 2, k + 2)
         carried = 2.0 * variation.serial_share * every[:, -2:-1] * variation.carried(every[:, -2:-1])
         more = np.bincount(unit, weights=carried[:, 0], minlength=self.units)
         self._level_variance = (self._gamma + more) / self._gamma**2  # of the units' levels, for noise of variance 1
@@ -101,16 +104,25 @@ class MixedModel:
         self.efficiency = float(variation.weight.mean() / max(float(flat.mean()), 1e-3))  # Huber 1973, eq. 6.5
 
     @cached_property
-    def _scaled(self) -> FloatArray:
-        """Scaled rows without the levels of units, for estimates."""
-        return self._without_levels(self.rows)
-
-    @cached_property
-    def _white(self) -> tuple[FloatArray, FloatArray]:
-        """The same of independent rows, for tests, and the squares of the rows with the levels, (k + 2,)."""
+    def _white(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Independent rows without the levels of units, for tests; the squares of the rows with the levels, (k + 2,);
+        and the cross products of the rows, (k + 2, k + 2).
+        """
         white = self.variation.whitened(self._energies)
         white[:, :-2] /= self.size
-        return self._without_levels(white), np.einsum("ij,ij->j", white, white)
+        rows, squares = self._without_levels(white), np.einsum("ij,ij->j", white, white)
+        return rows, squares, rows.T @ rows
+
+    def prepared(self) -> MixedModel:
+        """The same with the cross products of all columns, which many choices of columns are worth."""
+        self._products = np.stack([self.rows[part].T @ self.rows[part] for part in self._parts])
+        return self
+
+    @cached_property
+    def _inner(self) -> FloatArray:
+        """Cross products of scaled columns without the levels of units, (k + 2, k + 2)."""
+        rows = self._without_levels(self.rows)
+        return np.asarray(rows.T @ rows)
 
     def _without_levels(self, every: FloatArray) -> FloatArray:
         rows = np.empty_like(every)
@@ -166,14 +178,14 @@ class MixedModel:
 
     def _by_unit(self, chosen: IntArray) -> _ByUnit:
         index = np.append(chosen, -1)
+        if self._products is not None:
+            return _ByUnit(self._products[:, index[:, None], index], self._h[:, index], self._gamma)
         rows = self.rows[:, index]
-        gram = np.stack([rows[part].T @ rows[part] for part in self._parts])
-        return _ByUnit(gram, self._h[:, index], self._gamma)
+        return _ByUnit(np.stack([rows[part].T @ rows[part] for part in self._parts]), self._h[:, index], self._gamma)
 
     def _inside(self, index: IntArray) -> FloatArray:
-        """Cross products of scaled columns without the levels of units."""
-        rows = self._scaled[:, index]
-        return np.asarray(rows.T @ rows)
+        """The same of some columns."""
+        return np.asarray(self._inner[np.ix_(index, index)])
 
     def coefficients(self, chosen: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
         """Coefficients (q,) by generalised least squares within limits, (q,)."""
@@ -220,21 +232,26 @@ class MixedModel:
         The variance is the larger of the model's and of the one that is robust against unequal spread (HC3: MacKinnon &
         White 1985), with the mean over the columns of the degrees of freedom of Bell & McCaffrey 2002.
         """
-        rows, squares = self._white
-        rest, other = rows[:, np.append(tested, -1)], rows[:, beside]
-        rest -= other @ np.linalg.solve(self._with_prior(other.T @ other, beside), other.T @ rest)
-        a, z = rest[:, :-1], rest[:, -1]
-        turned = _directions(a.T @ a, squares[tested])  # (k, r)
+        rows, squares, products = self._white
+        last = np.append(tested, -1)
+        within, across = self._with_prior(products[np.ix_(beside, beside)], beside), products[np.ix_(beside, last)]
+        others = np.linalg.solve(within, across)
+        left = products[np.ix_(last, last)] - 2.0 * across.T @ others + others.T @ products[np.ix_(beside, beside)] @ others
+        turned = _directions(left[:-1, :-1], squares[tested])  # (k, r)
         if turned.shape[1] == 0:
             return 1.0
-        a = a @ turned
-        inverse = np.linalg.inv(a.T @ a)
-        beta = inverse @ (a.T @ z)
+        inverse, target = np.linalg.inv(turned.T @ left[:-1, :-1] @ turned), turned.T @ left[:-1, -1]
+        beta = inverse @ target
+        noise = float(left[-1, -1] - target @ beta) / max(len(rows) - len(beside) - len(tested) - self.units, 1)
+        model = inverse * noise
+        if (least := _p_value(beta, model * self.efficiency**2, float(len(rows)))) > CERTAINLY_NOT:
+            return least  # with fewer degrees of freedom, or a larger variance, it is larger still
+        rest = rows[:, last] - rows[:, beside] @ others
+        a, z = rest[:, :-1] @ turned, rest[:, -1]
         lever = np.einsum("ij,jk,ik->i", a, inverse, a)
         away = z - a @ beta
         spread = a * (away / np.maximum(1.0 - lever, 0.05))[:, None]
-        noise = float(away @ away) / max(len(z) - len(beside) - len(tested) - self.units, 1)
-        robust, model = inverse @ (spread.T @ spread) @ inverse, inverse * noise
+        robust = inverse @ (spread.T @ spread) @ inverse
         variance = max((robust, model), key=lambda v: -_wald(beta, v))
         freedom = float(np.mean(np.sum(a**2, axis=0) ** 2 / np.sum(a**4, axis=0)))
         return _p_value(beta, variance * self.efficiency**2, freedom)

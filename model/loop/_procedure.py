@@ -74,10 +74,13 @@ def fit(
     rows : of the baseline runs, where there are any, and of the new runs. new : False in the baseline runs, (n,).
     """
     rows, first, scale = base_step(rows, new)
-    selection = select(make_design(rows, new, first), progress=progress)
+    design = make_design(rows, new, first)
+    selection = select(design, with_unnamed=False, progress=progress)
     base_terms = selection.estimate([])[-1]
-    faults = [c for c in selection.chosen if isinstance(c.form, LogFault)]  # until they are known, all else is moved
-    settled = selection.settled(faults or selection.named or selection.chosen)
+    settled = _settled(selection)
+    if settled is selection:  # nothing with a name moves the rest
+        selection = select(design, progress=progress)
+        settled = _settled(selection)
     if settled is not selection:
         selection = select(settled.design)
         selection = selection.settled(selection.chosen)
@@ -102,3 +105,8 @@ def fit(
     simple = tuple(Term(form, form.fitted(recent)) for form in map(SimpleCosts, SIMPLE.values()))
     ends = low[fixed], high[fixed]
     return Fitted(selection, *ends, ranked, correction, base_terms, in_logs, scale, simple, run_share)
+
+
+def _settled(selection: Selection) -> Selection:
+    faults = [c for c in selection.chosen if isinstance(c.form, LogFault)]  # until they are known, all else is moved
+    return selection.settled(faults or selection.named or selection.chosen)

@@ -137,25 +137,38 @@ def within_one_error(gains: FloatArray) -> bool:
     return float(gains.sum()) <= float(gains.std(ddof=1)) * np.sqrt(gains.size)
 
 
-def select(design: Design, *, progress: Callable[[float], None] | None = None) -> Selection:
-    """Choose effects; none where none is significant. `progress` is called with the share that is done, 0..1."""
+def select(
+    design: Design, *, with_unnamed: bool = True, progress: Callable[[float], None] | None = None
+) -> Selection:
+    """Choose effects; none where none is significant. `progress` is called with the share that is done, 0..1.
+
+    with_unnamed : also ask those without a name, for what the others leave.
+    """
     chosen: list[Candidate] = []
     between: dict[str, bool] = {}
     seen: set[frozenset[int]] = set()
-    model = fit_model(design, _largest(design))
+    model = fit_model(design, _largest(design)).prepared()
+    unasked = Verdict(1.0, 0.0, np.zeros(model.units), False, "not asked")
+
+    def _judge_all(*, unnamed: bool) -> list[Verdict]:
+        asked = [c for c in design.candidates if unnamed or not isinstance(c.form, UNNAMED)]
+        found = iter(_judge(asked))
+        return [next(found) if unnamed or not isinstance(c.form, UNNAMED) else unasked for c in design.candidates]
 
     def _judge(candidates: Sequence[Candidate]) -> list[Verdict]:
         return [_verdict(design, model, c, [o for o in chosen if o is not c], between) for c in candidates]
 
-    alone = verdicts = _judge(design.candidates)
-    for unnamed in (False, True):  # what has no name is asked what remains
+    alone = verdicts = _judge_all(unnamed=with_unnamed)
+    for unnamed in (False, True)[: 1 + with_unnamed]:  # what has no name is asked what remains
+        if unnamed and chosen:
+            verdicts = _judge_all(unnamed=True)
         while len(chosen) < MOST_EFFECTS and (best := _simplest(design, verdicts, chosen, unnamed=unnamed)) is not None:
             taken = design.candidates[best]
             at = next((k for k, c in enumerate(chosen) if c.form.name == taken.form.name), len(chosen))
             parts = _missing_parts(design, taken, chosen)
             chosen[at : at + 1] = [taken, *parts]
             between |= dict.fromkeys([c.form.name for c in (taken, *parts)], verdicts[best].between)
-            verdicts = _judge(design.candidates)
+            verdicts = _judge_all(unnamed=unnamed)
             if (now := frozenset(map(id, chosen))) in seen:  # two forms of one effect that take turns
                 break
             seen.add(now)
@@ -170,7 +183,7 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
         if not final[worst].why_not or chosen[worst].form.name in needed:
             break
         chosen.pop(worst)
-        final, verdicts = _judge(chosen), _judge(design.candidates)
+        final, verdicts = _judge(chosen), _judge_all(unnamed=with_unnamed)
     return Selection(tuple(chosen), named, tuple(final), design, alone, verdicts, fit_model(design, chosen))
 
 

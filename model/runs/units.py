@@ -213,3 +213,22 @@ def _factor(word: str) -> float | None:
     except ValueError:
         return None
     return factor if math.isfinite(factor) and factor != 0 else None
+
+
+def watts_of_column(column: str) -> float | None:
+    """Return how many watts one unit of a logged column is, by its name.
+
+    Parameters
+    ----------
+    column : str
+        Such as `Heating Power [kW]`, `computer_w` or `auxiliary power`.
+
+    Returns
+    -------
+    float or None
+        None where it is not called a power.
+    """
+    name, unit = unit_in_name("power", column)
+    if unit is None:
+        return 1.0 if re.search(r"(?i)(^|[\W_])power([\W_]|$)", name) else None
+    return UNITS["power"][unit][0]

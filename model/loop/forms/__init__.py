@@ -8,6 +8,7 @@ from typing import Any
 
 from joulemap.model.errors import ModelError
 from joulemap.model.loop.forms._base_parameters import BaseParameters
+from joulemap.model.loop.forms.auxiliary_power import AuxiliaryPower
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.loop.forms.baseline_change import CHANGES
 from joulemap.model.loop.forms.change import Change
@@ -38,6 +39,7 @@ NAMED: tuple[type[Form], ...] = (
     Climbing,
     CopperLoss,
     PowerLimit,
+    AuxiliaryPower,
     Temperature,
     Payload,
     Wind,
