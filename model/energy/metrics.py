@@ -68,8 +68,9 @@ def errors_of(measured: Residuals, predicted: NDArray[np.float64]) -> dict[str, 
     -------
     dict
         `mean_relative` (Wei & Isler 2022, eq. 3, over segments whose energy is positive), `absolute_share` (sum of the
-        magnitudes of the errors over the energy), `rmse`, `bias` (measured minus predicted), and `by_run`, the mean
-        relative error of each run.
+        magnitudes of the errors over the energy), `rmse`, `bias` (measured minus predicted), `by_run`, the mean
+        relative error of each run, and `run_energy_rms`, the root mean square relative error of the energy of a whole
+        run with its stops.
     """
     moving = measured.moving
     energy, away = measured.measured[moving], (measured.measured - predicted)[moving]
@@ -84,4 +85,12 @@ def errors_of(measured: Residuals, predicted: NDArray[np.float64]) -> dict[str, 
         "by_run": {
             measured.runs[k]: float(np.nanmean(relative[run == k])) for k in np.unique(run) if positive[run == k].any()
         },
+        "run_energy_rms": _rms_of_runs(measured, predicted),
     }
+
+
+def _rms_of_runs(measured: Residuals, predicted: NDArray[np.float64]) -> float | None:
+    """None where no run took energy."""
+    drawn, away = (np.bincount(measured.run, v) for v in (measured.measured, measured.measured - predicted))
+    took = drawn > 0.0
+    return float(np.sqrt(np.mean((away[took] / drawn[took]) ** 2))) if took.any() else None

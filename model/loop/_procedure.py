@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from joulemap.model.loop._base_step import base_step
 from joulemap.model.loop._design import make_design
 from joulemap.model.loop._selection import Selection, select
+from joulemap.model.loop.forms import UNNAMED
 from joulemap.model.loop.forms._base_parameters import MEASURED_SLOPE
 from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.loop.forms.simple_costs import SimpleCosts
@@ -29,7 +30,7 @@ class Fitted:
     selection: Selection  # the effects that were chosen
     base_low: FloatArray  # (k,), 95 % confidence intervals of the base parameters
     base_high: FloatArray
-    effects: tuple[Effect, ...]  # those that explain most first
+    effects: tuple[Effect, ...]  # those with a formula, then structure without; those that explain most first
     correction: Correction  # of the base model's prediction, by everything and by what is known before a drive
     base_terms: tuple[Term, ...]  # the base parameters alone, fitted for themselves
     in_logs: tuple[Term, ...]  # faults of the log beside the terms of plans, which are judged by that log
@@ -99,7 +100,7 @@ def fit(
     ranges = driven_ranges(rows.features.take(np.flatnonzero(new)))
     drives = selection.design.residuals.features.drives
     correction = Correction(terms, planner_terms, ranges, drives, first, rows.charge)
-    ranked = tuple(sorted(effects, key=lambda e: -e.share))
+    ranked = tuple(sorted(effects, key=lambda e: (isinstance(e.term.form, UNNAMED), -e.share)))
     run_share = float(np.sqrt(estimate.tau2 * selection.model.sigma2(index)))
     recent = rows.take(np.flatnonzero(new))
     simple = tuple(Term(form, form.fitted(recent)) for form in map(SimpleCosts, SIMPLE.values()))

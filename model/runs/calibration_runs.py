@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import CARRIED, Protocol, cut_segments
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.files import read_alike
-from joulemap.model.runs.odometry import Odometry, flat_heightmap, read_odometry
+from joulemap.model.runs.odometry import read_odometry
 from joulemap.model.runs.reader import Run, read_run
 from joulemap.model.runs.rolling import cut_travel
 from joulemap.model.runs.segments import Segments, concatenate_segments, driven_only
@@ -58,7 +58,7 @@ class CalibrationRuns:
     repairs : dict
         Counts by name of the run and rule.
     placed : bool
-        Whether positions are places on a map. False where they are integrated from wheel speeds.
+        Whether positions are places on a map. False where they are integrated from wheel speeds or from a distance.
     """
 
     sites: tuple[SiteSegments, ...]
@@ -81,7 +81,7 @@ class CalibrationRuns:
 def read_calibration_runs(
     sites: Sequence[Site], *, protocol: Protocol = "track", currents: Currents = "auto"
 ) -> CalibrationRuns:
-    """Read runs with positions.
+    """Read the runs of all sites.
 
     Parameters
     ----------
@@ -107,71 +107,27 @@ def read_calibration_runs(
     learned = files_of(sites)
     robot = robot_of_all(sites)
     groups = [some for site in sites for some in (site.files, site.baseline_files, site.test_files)]
-    readers = [
-        partial(_read_placed, site.heightmap.frame.crs)
-        for site in sites
-        for _ in (*site.files, *site.baseline_files, *site.test_files)
-    ]
+    readers = [_reader(site) for site in sites for _ in (*site.files, *site.baseline_files, *site.test_files)]
     runs = _read(learned, groups, readers, currents)
-
-    def _cut_one(run: Run, charge: bool) -> Segments:
-        return cut_segments(run, charge=charge, protocol=protocol, max_speed_mps=CARRIED * robot.speed_mps)
-
-    parts = iter(_cut(runs, _cut_one))
+    parts = iter(_cut(runs, [_cutter(site, protocol) for site in sites for _ in range(3)]))
     read = tuple(SiteSegments(site.ground, *islice(parts, 3)) for site in sites)
-    return CalibrationRuns(read, robot, *_counts(runs))
+    return CalibrationRuns(read, robot, *_counts(runs), placed=all(site.placed for site in sites))
 
 
-def read_odometry_runs(
-    files: Sequence[Path],
-    odometry: Odometry,
-    robot: Robot,
-    *,
-    baseline_files: Sequence[Path] = (),
-    test_files: Sequence[Path] = (),
-    currents: Currents = "auto",
-) -> CalibrationRuns:
-    """Read runs without positions, whose wheel speeds are integrated, on level ground that covers all of them.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        Of the runs to learn from.
-    odometry : Odometry
-        How wheel speeds become a track.
-    robot : Robot
-        That drove.
-    baseline_files : sequence of Path
-        Of runs in which nothing new happens.
-    test_files : sequence of Path
-        Of runs for the test only.
-    currents : {"auto", "signed", "magnitude"}
-        As in `read_calibration_runs`.
-
-    Returns
-    -------
-    CalibrationRuns
-        Of one site.
-
-    Raises
-    ------
-    RunsError
-        As `read_calibration_runs`.
-    """
-    groups = [files, baseline_files, test_files]
-    readers = [partial(_read_wheels, odometry)] * sum(map(len, groups))
-    runs = _read(files, groups, readers, currents)
-    parts = _cut(runs, lambda run, charge: cut_travel(run, charge=charge))
-    ground = flat_heightmap([run for some in runs for run in some])
-    return CalibrationRuns((SiteSegments(ground, *parts),), robot, *_counts(runs), placed=False)
+def _reader(site: Site) -> Callable[[Path, str, Currents], Run]:
+    if site.odometry is not None:
+        how = site.odometry
+        return lambda file, name, currents: read_odometry(file, how, name=name, currents=currents)
+    return lambda file, name, currents: read_run(file, name=name, crs=site.heightmap.frame.crs, currents=currents)
 
 
-def _read_placed(crs: str | None, file: Path, name: str, currents: Currents) -> Run:
-    return read_run(file, name=name, crs=crs, currents=currents)
-
-
-def _read_wheels(odometry: Odometry, file: Path, name: str, currents: Currents) -> Run:
-    return read_odometry(file, odometry, name=name, currents=currents)
+def _cutter(site: Site, protocol: Protocol) -> Callable[[Run, bool], Segments]:
+    if site.odometry is not None:
+        return lambda run, charge: cut_travel(run, charge=charge)
+    fastest = CARRIED * site.robot.speed_mps
+    return lambda run, charge: cut_segments(
+        run, length_m=site.length_m, charge=charge, protocol=protocol, max_speed_mps=fastest
+    )
 
 
 def _read(
@@ -187,7 +143,7 @@ def _read(
     return [list(islice(runs, len(some))) for some in groups]
 
 
-def _cut(runs: Sequence[Sequence[Run]], cut: Callable[[Run, bool], Segments]) -> list[Segments | None]:
+def _cut(runs: Sequence[Sequence[Run]], cutters: Sequence[Callable[[Run, bool], Segments]]) -> list[Segments | None]:
     """The segments of each group of runs, None where there is no run."""
     every = [run for some in runs for run in some]
     without = [run.name for run in every if not run.has_energy]
@@ -198,7 +154,8 @@ def _cut(runs: Sequence[Sequence[Run]], cut: Callable[[Run, bool], Segments]) ->
             run=without[0],
         )
     return [
-        driven_only(concatenate_segments([cut(run, bool(without)) for run in some])) if some else None for some in runs
+        driven_only(concatenate_segments([cut(run, bool(without)) for run in some])) if some else None
+        for some, cut in zip(runs, cutters, strict=True)
     ]
 
 

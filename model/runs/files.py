@@ -140,6 +140,7 @@ def read_segments(
     charge: bool = False,
     protocol: Protocol = "track",
     currents: Currents = "auto",
+    length_m: float | None = None,
 ) -> tuple[list[Run], Segments]:
     """Read runs for training: every run, and the segments of all in joules.
 
@@ -157,6 +158,8 @@ def read_segments(
         As in `cut_segments`.
     currents : {"auto", "signed", "magnitude"}
         How the currents of several motors are summed (`joulemap.model.runs.electric`).
+    length_m : float, optional
+        As in `cut_segments`.
 
     Returns
     -------
@@ -178,6 +181,7 @@ def read_segments(
     parts = []
     for run in runs:
         counted = charge or not run.has_energy
-        cut = cut_segments(run, charge=counted, protocol=protocol, max_speed_mps=CARRIED * robot.speed_mps)
+        fastest = CARRIED * robot.speed_mps
+        cut = cut_segments(run, length_m=length_m, charge=counted, protocol=protocol, max_speed_mps=fastest)
         parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if counted else cut)
     return runs, driven_only(concatenate_segments(parts))

@@ -12,8 +12,9 @@ from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.residuals import Residuals
 
 _MEASUREMENT = re.compile(
-    r"^(left_|right_)?(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|w|wh|amps?|volts?)$"
+    r"^(left_|right_)?(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|wh|amps?|volts?)$"
 )
+"""A power of something else (`heater_w`) is no part of it; one of the drives is found by `_is_meter`."""
 _COPY = 0.95
 _LEAST_ROWS = 10
 _SPIKE = 8.0  # times the median size
@@ -122,4 +123,4 @@ def _without_lines(values: FloatArray, run: NDArray[np.int64], since: FloatArray
 
 def _same(a: FloatArray, b: FloatArray) -> bool:
     both = np.isfinite(a) & np.isfinite(b)
-    return bool(both.any() and a[both].std() > 0 and abs(np.corrcoef(a[both], b[both])[0, 1]) > 1.0 - 1e-9)
+    return bool(both.any() and _likeness(a[both], b[both]) > 1.0 - 1e-9)

@@ -14,6 +14,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.cutting import Protocol
 from joulemap.model.runs.files import distinct_names, read_segments
+from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.reader import Run
 from joulemap.model.runs.segments import Segments, concatenate_segments
 from joulemap.model.terrain.heightmap import Heightmap
@@ -35,6 +36,13 @@ class Site:
         Runs in which nothing new happens, for a calibration.
     test_files : tuple of Path
         Runs that a calibration only predicts.
+    placed : bool
+        Whether it is a map. False for the ground that the log of a run without positions describes
+        (`joulemap.model.runs.without_map`).
+    odometry : Odometry, optional
+        How wheel speeds become a track, of such a run.
+    length_m : float, optional
+        Nominal length of segments [m], as in `cut_segments`.
     """
 
     heightmap: Heightmap
@@ -42,6 +50,9 @@ class Site:
     robot: Robot
     baseline_files: tuple[Path, ...] = ()
     test_files: tuple[Path, ...] = ()
+    placed: bool = True
+    odometry: Odometry | None = None
+    length_m: float | None = None
 
     @property
     def ground(self) -> Heightmap:
@@ -220,7 +231,12 @@ def read_sites(sites: Sequence[Site], *, charge: bool = False, protocol: Protoco
         mine = [next(names) for _ in site.files]
         try:
             found, segments = read_segments(
-                site.files, site.robot, crs=site.heightmap.frame.crs, charge=charge, protocol=protocol
+                site.files,
+                site.robot,
+                crs=site.heightmap.frame.crs,
+                charge=charge,
+                protocol=protocol,
+                length_m=site.length_m,
             )
             segments = replace(segments, runs=tuple(mine))
             check_runs(segments, site.heightmap, site.robot)

@@ -44,8 +44,8 @@ OdometryTrack = Annotated[
     typer.Option(
         "--odometry",
         metavar="TRACK",
-        help="The runs have no positions: integrate `speed_left` and `speed_right` on level ground (no `--heightmap`), "
-        "with this effective track width [m].",
+        help="The runs have wheel speeds of both sides and no positions: integrate `speed_left` and `speed_right` on "
+        "level ground, with this effective track width [m].",
     ),
 ]
 TerrainFromName = Annotated[
@@ -139,6 +139,9 @@ def calibrate(
 
     `joulemap calibrate --model mine --site a.tif=a/*.csv --site b.tif=b.csv --robot robot.toml --out found` (several
     maps, one robot)
+
+    `joulemap calibrate --model physics --robot car.toml --runs drives --out found` (logs with a speed or a distance and
+    no positions; the heights are those of the log)
     """
     from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
     from joulemap.service.loop.report_page import report_page
@@ -200,41 +203,41 @@ class _Asked:
     reading: Reading
 
     def __post_init__(self) -> None:
-        ways = (self.heightmap is not None, bool(self.site), self.campaign is not None, self.odometry is not None)
-        if sum(ways) != 1:
+        ways = (self.heightmap is not None, bool(self.site), self.campaign is not None)
+        if sum(ways) > 1:
+            raise typer.BadParameter("give one of --heightmap, --site and --campaign")
+        if not any(ways) and not self.runs:
             raise typer.BadParameter(
-                "give one of --heightmap, --site, --campaign, and --odometry for runs without positions"
+                "give --runs, and the map that they were driven on with --heightmap; or --site, or --campaign. Runs with "
+                "a speed or a distance and no positions need no map"
             )
+        if self.odometry is not None and any(ways):
+            raise typer.BadParameter("--odometry is for runs without positions, which lie on no map: give --runs alone")
         if self.terrain_from_name and self.odometry is None:
             raise typer.BadParameter("--terrain-from-name goes with --odometry")
-        if self.odometry is not None and not self.runs:
-            raise typer.BadParameter("--odometry and --runs go together")
         if self.baseline_runs and (self.site or self.campaign):
             raise typer.BadParameter(
-                "--baseline-runs goes with --heightmap or --odometry; in a campaign file a site has the key `baseline`"
+                "--baseline-runs goes with --runs; in a campaign file a site has the key `baseline`"
             )
 
     def read(self, test_runs: list[str] | None = None) -> CalibrationRuns:
-        """The runs, and the maps or the level ground that they were driven on."""
-        from joulemap.model.runs.calibration_runs import read_calibration_runs, read_odometry_runs
+        """The runs, on their maps or on the ground that their logs describe."""
+        from joulemap.model.runs.calibration_runs import read_calibration_runs
         from joulemap.model.runs.odometry import Odometry
         from joulemap.model.runs.sites import with_test_files
+        from joulemap.model.runs.without_map import sites_without_map
 
         baseline, test = find_runs(self.baseline_runs or []), find_runs(test_runs or [])
-        if self.odometry is not None:
-            tests = {file.resolve() for file in test}
-            return read_odometry_runs(
-                [file for file in find_runs(self.runs or []) if file.resolve() not in tests],
-                Odometry(self.odometry, self.terrain_from_name),
-                robot_of(self.robot),
-                baseline_files=baseline,
-                test_files=test,
-                currents=self.currents,
-            )
-        sites = named_sites(self.heightmap, self.runs, self.site, self.campaign, self.robot, self.reading)
-        if baseline:
-            sites = [replace(sites[0], baseline_files=tuple(baseline))]
-        return read_calibration_runs(with_test_files(sites, test), currents=self.currents)
+        if self.heightmap is None and not self.site and self.campaign is None:
+            how = None if self.odometry is None else Odometry(self.odometry, self.terrain_from_name)
+            files, robot = find_runs(self.runs or []), robot_of(self.robot)
+            sites = sites_without_map(files, robot, baseline_files=baseline, test_files=test, odometry=how)
+        else:
+            sites = named_sites(self.heightmap, self.runs, self.site, self.campaign, self.robot, self.reading)
+            if baseline:
+                sites = [replace(sites[0], baseline_files=tuple(baseline))]
+            sites = with_test_files(sites, test)
+        return read_calibration_runs(sites, currents=self.currents)
 
     def words(self) -> list[str]:
         """The options again, as they are typed."""

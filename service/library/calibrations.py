@@ -13,7 +13,7 @@ from joulemap.model.errors import InputError
 from joulemap.service.coordinates import PlaceLike
 from joulemap.service.exports.routes import route_file, route_format_of
 from joulemap.service.exports.track import track_of_drive
-from joulemap.service.library.heightmaps import GroundLike, RobotLike
+from joulemap.service.library.heightmaps import GroundLike, RobotLike, robot_of
 from joulemap.service.library.models import ModelLike, model_folder
 from joulemap.service.library.run_files import RunsLike, find_run_files
 from joulemap.service.library.sites import SiteLike, sites_given
@@ -123,6 +123,7 @@ def calibrate(
     robot: RobotLike = None,
     baseline_runs: RunsLike | None = None,
     test_runs: RunsLike | None = None,
+    odometry_track_m: float | None = None,
     start: Point | None = None,
     goal: Point | None = None,
     campaigns: bool = False,
@@ -135,7 +136,8 @@ def calibrate(
     Parameters
     ----------
     ground : Heightmap, str or Path, optional
-        The heightmap that the runs were driven on. Not with `sites` or `campaign`.
+        The heightmap that the runs were driven on. Not with `sites` or `campaign`. Runs with a speed or a distance and
+        no positions need none.
     runs : Runs, str, Path or sequence of these, optional
         The runs, or their files.
     out : str or Path
@@ -149,11 +151,13 @@ def calibrate(
     robot : Robot, mapping, str, Path or None, optional
         The robot that drove.
     baseline_runs : Runs, str, Path or sequence of these, optional
-        Runs on `ground` in which nothing new is at work. By default those that the model was trained on. A campaign
+        Runs beside `runs` in which nothing new is at work. By default those that the model was trained on. A campaign
         file names them with the key `baseline` of a site.
     test_runs : Runs, str, Path or sequence of these, optional
         Runs that have no part in the fit; the report has the error on them before and after. Of several sites, they are
         among the runs of one.
+    odometry_track_m : float, optional
+        Effective track width [m]: the runs have no positions, and the wheel speeds of both sides are integrated.
     start, goal : sequence of float, optional
         World x, y [m] of a task whose routes before and after are compared, on the map with the most metres driven.
     campaigns : bool, optional
@@ -183,16 +187,27 @@ def calibrate(
         to one campaign.
     """
     from joulemap.model.runs.calibration_runs import read_calibration_runs
+    from joulemap.model.runs.odometry import Odometry
     from joulemap.model.runs.sites import with_test_files
+    from joulemap.model.runs.without_map import sites_without_map
 
     if (start is None) != (goal is None):
         raise InputError("give `start` and `goal`, or neither")
-    given = sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot)
-    if baseline_runs is not None:
-        if ground is None:
-            raise InputError("`baseline_runs` go with one heightmap; in a campaign file a site has the key `baseline`")
-        given = [replace(given[0], baseline_files=tuple(find_run_files(baseline_runs)))]
-    read = read_calibration_runs(with_test_files(given, find_run_files(test_runs)))
+    baseline, test = find_run_files(baseline_runs), find_run_files(test_runs)
+    if baseline and runs is None:
+        raise InputError("`baseline_runs` go with `runs`; in a campaign file a site has the key `baseline`")
+    if ground is None and runs is not None and sites is None and campaign is None:
+        how = None if odometry_track_m is None else Odometry(odometry_track_m)
+        files, driver = find_run_files(runs), robot_of(robot)
+        given = sites_without_map(files, driver, baseline_files=baseline, test_files=test, odometry=how)
+    elif odometry_track_m is not None:
+        raise InputError("`odometry_track_m` goes with `runs` without positions, which belong to no heightmap")
+    else:
+        given = sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot)
+        if baseline:
+            given = [replace(given[0], baseline_files=tuple(baseline))]
+        given = with_test_files(given, test)
+    read = read_calibration_runs(given)
     task = None if start is None or goal is None else (start, goal)
     return calibrate_and_report(
         model_folder(model),

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from joulemap.model.errors import InputError, NotFoundError, nearest_name
-from joulemap.model.runs.logs import read_log
-from joulemap.model.runs.reader import run_of
 from joulemap.model.runs.sites import Site
+from joulemap.model.runs.without_map import sites_without_map
 from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
 from joulemap.service.library.run_files import RunsLike, find_run_files
 
@@ -100,43 +99,8 @@ def sites_given(
         return sites_of(sites, robot=robot)
     assert runs is not None
     if ground is None:
-        return sites_of_profiles(runs, robot=robot)
+        return sites_without_map(find_run_files(runs), robot_of(robot))
     return sites_of([(ground, runs)], robot=robot)
-
-
-def sites_of_profiles(runs: RunsLike, *, robot: RobotLike = None) -> list[Site]:
-    """Return a site for each run without positions: a strip with the heights of its log.
-
-    Parameters
-    ----------
-    runs : Runs, str, Path or sequence of these
-        With a speed or a distance.
-    robot : Robot, mapping, str, Path or None, optional
-        That drove.
-
-    Returns
-    -------
-    list of Site
-        In their order.
-
-    Raises
-    ------
-    InputError
-        If a run has positions, so that a heightmap is needed.
-    RunsError
-        If one cannot be read.
-    """
-    from joulemap.model.runs.profile_ground import ground_of_profile
-
-    driver = robot_of(robot)
-    found = []
-    for file in find_run_files(runs):
-        table = read_log(file, file.name, {})
-        if {"x", "y"} <= table.numbers.keys() or {"lat", "lon"} <= table.numbers.keys():
-            raise InputError(f"the run {file.name} has positions: give the heightmap on which it was driven")
-        run = run_of(table.numbers, table.texts, name=file.name)
-        found.append(Site(ground_of_profile(run), (file,), driver))
-    return found
 
 
 def sites_of_options(values: Sequence[str]) -> list[tuple[Path, list[str]]]:

@@ -148,6 +148,34 @@ def plan_words(document: Mapping[str, Any]) -> list[str]:
     return [*lines, f"WARNING: {what}: all predictions of plans are multiplied by {level['factor']:.3f}."]
 
 
+def unknown_words(document: Mapping[str, Any]) -> list[str]:
+    """Return how much of the error of plans comes from what only a log knows.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        A sentence; none where plans know of every effect, or where no whole run was left out.
+    """
+    error, known = document["error"], document["validation"]
+    names = [effect["label"] for effect in document["effects"] if not effect["in_plans"]]
+    with_log, planned = (error[key].get("run_energy_rms") for key in ("after", "after_planner"))
+    if not names or not known["whole_procedure"] or known["left_out"] == "blocks" or not with_log or not planned:
+        return []
+    what = f"The energy of a whole run is off by {percent(planned)} at plan time (root mean square)"
+    if planned <= with_log:
+        return [f"{what}, and by {percent(with_log)} with what only a log knows: {', '.join(names)}."]
+    share = percent(1.0 - (with_log / planned) ** 2, 0)
+    return [
+        f"{what}, and by {percent(with_log)} with what only a log knows: {', '.join(names)}. So {share} of the variance "
+        "of plans is theirs."
+    ]
+
+
 def odds_words(document: Mapping[str, Any]) -> list[str]:
     """Return whether the odds of the calibrated model were right on runs that had no part in them.
 

@@ -141,8 +141,12 @@ def sites_document(runs: CalibrationRuns, measured: Measured) -> list[dict[str, 
     -------
     list of dict
         `heightmap` (name), names of the `runs`, `baseline_runs` and `test_runs`, metres compared `used_m`, and whether
-        it is the `main` site.
+        it is the `main` site. Runs without positions lie on no map, and are in one entry.
     """
+    if not runs.placed:
+        driven = {key: [name for site in runs.sites for name in _names(getattr(site, key))] for key in _GROUPS}
+        names = {"runs": driven["new"], "baseline_runs": driven["baseline"], "test_runs": driven["test"]}
+        return [{"heightmap": "none: the runs have no positions", **names, "used_m": sum(measured.driven_m), "main": True}]
     return [
         {
             "heightmap": site.heightmap.source,
@@ -154,6 +158,9 @@ def sites_document(runs: CalibrationRuns, measured: Measured) -> list[dict[str, 
         }
         for site, metres in zip(runs.sites, measured.driven_m, strict=True)
     ]
+
+
+_GROUPS = ("new", "baseline", "test")
 
 
 def _names(segments: Segments | None) -> list[str]:

@@ -23,6 +23,7 @@ from joulemap.service.loop.error_words import (
     plan_words,
     site_words,
     unit_of,
+    unknown_words,
     validation_words,
     variation_words,
 )
@@ -123,7 +124,7 @@ def _lead(document: Mapping[str, Any], steps: Sequence[NextStep]) -> str:
         words += "<ul>" + "".join(f"<li>{_text(sentence)}</li>" for sentence in rest) + "</ul>"
     words += f"<p>{_text(variation_words(document))}</p>"
     words += "".join(f"<p>{_text(sentence)}</p>" for sentence in site_words(document))
-    told = (*error_words(document), *plan_words(document), *odds_words(document))
+    told = (*error_words(document), *unknown_words(document), *plan_words(document), *odds_words(document))
     words += "".join(f"<p{_loud(sentence)}>{_text(sentence)}</p>" for sentence in told)
     if steps:
         words += "<p>Next:</p>" + "".join(

@@ -15,6 +15,7 @@ from joulemap.service.loop.error_words import (
     odds_words,
     plan_words,
     site_words,
+    unknown_words,
     variation_words,
 )
 
@@ -62,7 +63,7 @@ def summary_lines(document: Mapping[str, Any]) -> list[str]:
         *(f"  {words}" for words in base_words(document)),
     ]
     lines += [first, *(f"  {words}" for words in rest), variation_words(document), *error_words(document)]
-    lines += [*plan_words(document), *odds_words(document)]
+    lines += [*unknown_words(document), *plan_words(document), *odds_words(document)]
     return [*lines, *confounded_words(document), range_words(document), *site_words(document)]
 
 

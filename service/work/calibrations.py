@@ -13,9 +13,10 @@ from typing import Any
 
 from joulemap.model.errors import JoulemapError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.calibration_runs import CalibrationRuns, read_calibration_runs, read_odometry_runs
+from joulemap.model.runs.calibration_runs import CalibrationRuns, read_calibration_runs
 from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.sites import Site
+from joulemap.model.runs.without_map import sites_without_map
 from joulemap.model.terrain.readers import read_sent
 from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
 from joulemap.service.loop.error_words import advice
@@ -141,7 +142,9 @@ def main(out: Path, topic: str) -> None:
 def _read(order: Mapping[str, Any], robot: Robot) -> CalibrationRuns:
     files, base, test = ([Path(file) for file in order[key]] for key in ("runs", "base_runs", "test_runs"))
     if order["heightmap"] is None:
-        return read_odometry_runs(files, Odometry(**order["odometry"]), robot, baseline_files=base, test_files=test)
+        odometry = None if order["odometry"] is None else Odometry(**order["odometry"])
+        sites = sites_without_map(files, robot, baseline_files=base, test_files=test, odometry=odometry)
+        return read_calibration_runs(sites)
     ground = read_sent(Path(order["heightmap"]), filename=order["heightmap_name"], noise_m=order["noise_m"])
     return read_calibration_runs([Site(ground, tuple(files), robot, tuple(base), tuple(test))])
 

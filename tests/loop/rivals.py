@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.robot import Robot
-from joulemap.model.runs.calibration_runs import CalibrationRuns, read_odometry_runs
+from joulemap.model.runs.calibration_runs import CalibrationRuns, read_calibration_runs
 from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.residuals import Residuals
+from joulemap.model.runs.without_map import sites_without_map
 from joulemap.service.loop.measured import measure
 from tests.coverage.real import cuadriga, drive, real_folder
 
@@ -29,11 +30,19 @@ Read = Callable[[Path], tuple[CalibrationRuns, list[str]]]
 def husky(folder: Path) -> tuple[CalibrationRuns, list[str]]:
     """All runs without positions; a campaign is a kind of ground."""
     files = sorted((folder / "husky").glob("*.csv"))
-    runs = read_odometry_runs(files, Odometry(1.07, terrain_from_name=True), Robot())
+    sites = sites_without_map(files, Robot(), odometry=Odometry(1.07, terrain_from_name=True))
+    runs = read_calibration_runs(sites)
     return runs, [name.rpartition("_")[0] for name in runs.segments.runs]
 
 
-REAL: dict[str, Read] = {"drive": drive, "cuadriga": cuadriga, "husky": husky}
+def bmw(folder: Path) -> tuple[CalibrationRuns, list[str]]:
+    """31 drives of a car without positions; every drive is a campaign."""
+    car = Robot(mass_kg=1300.0, length_m=4.0, width_m=1.8, speed_mps=15.0, rolling_resistance=0.012, regeneration=0.6)
+    runs = read_calibration_runs(sites_without_map(sorted((folder / "bmw_i3").glob("*.csv")), car))
+    return runs, list(runs.segments.runs)
+
+
+REAL: dict[str, Read] = {"drive": drive, "cuadriga": cuadriga, "husky": husky, "bmw": bmw}
 
 
 def columns_of(rows: Residuals) -> FloatArray:
@@ -75,6 +84,37 @@ def lines_of(name: str, found: Calibration, fold: NDArray[np.int64]) -> list[str
     return [*lines, "", f"named: {effects}; plans use {found.proposal}"]
 
 
+_AUXILIARY = ("Heating Power CAN [kW]", "AirCon Power [kW]")
+
+
+def drive_lines(found: Calibration, fold: NDArray[np.int64]) -> list[str]:
+    """Errors of the energy of whole drives, with their stops: of the calibration, and of least squares with more and
+    more columns, fitted to the rows and to the sums of the other drives.
+    """
+    rows, of = found.residuals, found.residuals.features
+    columns = [of.length_m, of.grade * of.length_m, of.duration_s, of.speed_mps**2 * of.length_m]
+    columns += [of.gained_m2ps2, of.kinetic_m2ps2]
+    columns += [1e3 * np.nan_to_num(of.columns[name]) * of.duration_s for name in _AUXILIARY if name in of.columns]
+    x = np.stack(columns, axis=1)
+    drives = np.stack([np.bincount(rows.run, column) for column in x.T], axis=1)
+    energy, left_out = np.bincount(rows.run, rows.measured), np.array([fold[rows.run == k][0] for k in np.unique(rows.run)])
+    said = {key: np.bincount(rows.run, held) for key, held in found.held_out.items()}
+    for count, words in ((1, "distance"), (6, "+ climb, time, speed, kinetic energy"), (len(columns), "+ auxiliary power")):
+        for kind, (a, b, of_row) in {"metres": (x, rows.measured, fold), "drives": (drives, energy, left_out)}.items():
+            out = np.empty(len(energy))
+            for k in np.unique(left_out):
+                known = of_row != k
+                fitted = np.linalg.lstsq(a[known][:, :count], b[known], rcond=None)[0]
+                out[left_out == k] = drives[left_out == k][:, :count] @ fitted
+            said[f"least squares of {kind}: {words}"] = out
+    lines = ["| energy of a drive | mean error | root mean square | sum |", "| --- | --- | --- | --- |"]
+    for key, total in said.items():
+        away = total / energy - 1.0
+        spread = f"{np.abs(away).mean():.1%} | {np.sqrt(np.mean(away**2)):.1%} | {total.sum() / energy.sum() - 1.0:+.1%}"
+        lines.append(f"| {key} | {spread} |")
+    return lines
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.loop.rivals", description=__doc__.splitlines()[0])
@@ -93,7 +133,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 continue  # every run is a campaign
             fold = measured.residuals.folds(groups)
             found = calibrate(measured.residuals, electric=measured.electric, groups=groups)
-            print("\n".join([*lines_of(f"{name}, {left_out}", found, fold), ""]), flush=True)
+            whole = [] if runs.placed else ["", *drive_lines(found, fold)]
+            print("\n".join([*lines_of(f"{name}, {left_out}", found, fold), *whole, ""]), flush=True)
 
 
 if __name__ == "__main__":

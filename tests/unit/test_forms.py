@@ -11,6 +11,7 @@ from joulemap.model.errors import ModelError
 from joulemap.model.loop._design import linearised
 from joulemap.model.loop.forms import CHANGES, FORMS, NAMED, UNNAMED, form_from_dict
 from joulemap.model.loop.forms._base_parameters import BaseParameters
+from joulemap.model.loop.forms.auxiliary_power import AuxiliaryPower
 from joulemap.model.loop.forms.baseline_change import (
     Acceleration,
     Braking,
@@ -90,6 +91,7 @@ BY_HAND = {  # (form, one metre, what one unit of each coefficient adds to it [J
     "copper loss": (CopperLoss(True), even(), [0.08**2 * 2.0]),
     "power limit": (PowerLimit(20.0), even(), [PREDICTED - 20.0 * 2.0]),
     "below the power limit": (PowerLimit(100.0), even(), [0.0]),
+    "auxiliary power": (AuxiliaryPower("arm [kW]", 1e3), even(columns={"arm [kW]": np.array([0.3])}), [600.0]),
     "heater": (Temperature(10.0, "time"), even(columns={"temperature": np.array([15.0])}), [2.0 * 5.0]),
     "grease": (Temperature(10.0, "motion"), even(columns={"temperature": np.array([5.0])}), [-5.0 * MOTION]),
     "grease as viscous as oil": (
@@ -172,6 +174,14 @@ def test_a_direction_has_no_range():
     other = even(columns={"wind_from": np.array([350.0]), "wind_speed": np.array([9.0])}).within(ranges)
     assert other.columns["wind_from"] == [350.0]
     assert other.columns["wind_speed"] == pytest.approx([3.97])
+
+
+def test_a_power_is_known_by_its_name():
+    columns = ("Heating Power [kW]", "computer_w", "auxiliary power", "lidar_power_mW", "temperature", "Heater Current [A]")
+    rows = even(columns={name: np.array([1.0]) for name in columns})
+    found = {form.logged: form.watts for form in AuxiliaryPower.variants(rows)}
+    assert found == {"Heating Power [kW]": 1e3, "computer_w": 1.0, "auxiliary power": 1.0, "lidar_power_mW": 1e-3}
+    assert not any(form.over.removeprefix("column:") in found for form in Curve.variants(rows))
 
 
 def test_every_form_is_worked_out_by_hand():

@@ -10,6 +10,7 @@ import numpy as np
 
 from joulemap.model.loop.forms.base import Form, steps
 from joulemap.model.runs.features import Features, FloatArray, quantity
+from joulemap.model.runs.units import watts_of_column
 
 _GROUND = ("cross_slope", "roughness", "position_index", "grade", "elevation")
 _GEOMETRY = (*_GROUND, "speed", "turning", "turn", "since_start")
@@ -122,7 +123,9 @@ class Curve(Form):
         moving = rows.take(~rows.standing)
         for count in _BANDS:
             yield cls("heading", tuple(round(2.0 * math.pi * k / count, 6) for k in range(count)))
-        logged = (f"column:{key}" for key in moving.columns if key not in _OF_POSITION)
+        logged = (
+            f"column:{key}" for key in moving.columns if key not in _OF_POSITION and watts_of_column(key) is None
+        )  # what a logged power costs is no curve (`AuxiliaryPower`)
         for over in (*_GEOMETRY, *logged):
             odd, values = over == "turn", quantity(moving, over)
             for knots in sorted({steps(np.abs(values) if odd else values, count) for count in _KNOTS}, key=len):
@@ -173,7 +176,7 @@ class PlaceField(Form):
         x, y = rows.x[moving], rows.y[moving]
         extent = max(float(np.ptp(x)), float(np.ptp(y)))
         for width in (extent / 8.0, extent / 14.0):
-            if width < 1.0:
+            if width < 1.0 or not x.any():  # without positions there are no places
                 continue
             grid = [np.arange(v.min() + 0.325 * width, v.max() + 0.325 * width, 1.3 * width) for v in (x, y)]
             centres = tuple(

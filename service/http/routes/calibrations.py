@@ -135,11 +135,7 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
                 limit=limit,
                 **{key: count},
             )
-    odometry = _odometry_of(sent)
-    if ground is None and odometry is None:
-        raise InputError("name the heightmap that these runs were driven on", field="heightmap_id")
-    if ground is not None and odometry is not None:
-        raise InputError("runs without positions belong to no heightmap: leave heightmap_id out", field="heightmap_id")
+    odometry = _odometry_of(sent, placed=ground is not None)
     asked = wanted.model_dump(include={"model", "start", "goal", "campaigns", "quick", "seed"})
     if on is not None and asked["start"] is not None:
         frame = frame_of_stats(on.stats)
@@ -155,18 +151,18 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     return row
 
 
-def _odometry_of(sent: Sequence[RunsRow]) -> dict[str, Any] | None:
-    """How runs without positions are read, None for runs with positions. Raises InputError if they differ."""
+def _odometry_of(sent: Sequence[RunsRow], *, placed: bool) -> dict[str, Any] | None:
+    """How runs without positions are read. Raises InputError if they differ, or do not go with a heightmap or none."""
     every = [run for row in sent for run in row.stats]
-    if any(not run.get("placed", True) and run.get("odometry") is None for run in every):
-        raise InputError(
-            "runs with a distance and no positions lie on no heightmap: `joulemap evaluate --runs` compares them",
-            field="runs",
-        )
-    first, *others = [run.get("odometry") for run in every]
-    if any(other != first for other in others):
+    ways = [(run.get("placed", True) and run.get("odometry") is None, run.get("odometry")) for run in every]
+    if any(way != ways[0] for way in ways):
         raise InputError(
             "calibrate runs with positions, runs without positions, and runs of different track widths separately",
             field="runs",
         )
-    return first
+    with_positions, odometry = ways[0]
+    if with_positions and not placed:
+        raise InputError("name the heightmap that these runs were driven on", field="heightmap_id")
+    if placed and not with_positions:
+        raise InputError("runs without positions belong to no heightmap: leave heightmap_id out", field="heightmap_id")
+    return odometry
