@@ -58,7 +58,7 @@ def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> 
             else "a mapping says which they are, like lat=latitude,lon=longitude"
         )
         half = next(((one, other) for one, other in _PAIRS if (one in numbers) != (other in numbers)), None)
-        lack = "neither 'x' and 'y' nor 'lat' and 'lon'"
+        lack = "neither 'x' and 'y' nor 'lat' and 'lon', nor a speed or a distance"
         if half is not None:
             there, missing = half if half[0] in numbers else half[::-1]
             lack = f"a position {there!r} and no {missing!r}"
