@@ -236,7 +236,11 @@ class MixedModel:
         last = np.append(tested, -1)
         within, across = self._with_prior(products[np.ix_(beside, beside)], beside), products[np.ix_(beside, last)]
         others = np.linalg.solve(within, across)
-        left = products[np.ix_(last, last)] - 2.0 * across.T @ others + others.T @ products[np.ix_(beside, beside)] @ others
+        left = (
+            products[np.ix_(last, last)]
+            - 2.0 * across.T @ others
+            + others.T @ products[np.ix_(beside, beside)] @ others
+        )
         turned = _directions(left[:-1, :-1], squares[tested])  # (k, r)
         if turned.shape[1] == 0:
             return 1.0

@@ -137,9 +137,7 @@ def within_one_error(gains: FloatArray) -> bool:
     return float(gains.sum()) <= float(gains.std(ddof=1)) * np.sqrt(gains.size)
 
 
-def select(
-    design: Design, *, with_unnamed: bool = True, progress: Callable[[float], None] | None = None
-) -> Selection:
+def select(design: Design, *, with_unnamed: bool = True, progress: Callable[[float], None] | None = None) -> Selection:
     """Choose effects; none where none is significant. `progress` is called with the share that is done, 0..1.
 
     with_unnamed : also ask those without a name, for what the others leave.

@@ -27,8 +27,8 @@ _STEP_SLOPE = 0.02  # a step of one unit of a rounded height is spread so far th
 _LONGEST_M = 2_000_000.0
 _UNIFORM = 1.0 / math.sqrt(12.0)  # standard deviation of a uniform distribution over its width
 MOST_SEGMENTS = 10_000
-"""Setting: of long drives segments are as long as it takes for so many. A calibration takes some seconds for each of its
-repetitions then, and the memory of its columns is 100 MB."""
+"""Setting: of long drives segments are as long as it takes for so many. A calibration takes some seconds for each of
+its repetitions then, and the memory of its columns is 100 MB."""
 
 
 def sites_without_map(

@@ -208,8 +208,8 @@ class _Asked:
             raise typer.BadParameter("give one of --heightmap, --site and --campaign")
         if not any(ways) and not self.runs:
             raise typer.BadParameter(
-                "give --runs, and the map that they were driven on with --heightmap; or --site, or --campaign. Runs with "
-                "a speed or a distance and no positions need no map"
+                "give --runs, and the map that they were driven on with --heightmap; or --site, or --campaign. Runs "
+                "with a speed or a distance and no positions need no map"
             )
         if self.odometry is not None and any(ways):
             raise typer.BadParameter("--odometry is for runs without positions, which lie on no map: give --runs alone")

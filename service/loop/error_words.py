@@ -171,8 +171,8 @@ def unknown_words(document: Mapping[str, Any]) -> list[str]:
         return [f"{what}, and by {percent(with_log)} with what only a log knows: {', '.join(names)}."]
     share = percent(1.0 - (with_log / planned) ** 2, 0)
     return [
-        f"{what}, and by {percent(with_log)} with what only a log knows: {', '.join(names)}. So {share} of the variance "
-        "of plans is theirs."
+        f"{what}, and by {percent(with_log)} with what only a log knows: {', '.join(names)}. So {share} of the "
+        "variance of plans is theirs."
     ]
 
 

@@ -146,7 +146,9 @@ def sites_document(runs: CalibrationRuns, measured: Measured) -> list[dict[str, 
     if not runs.placed:
         driven = {key: [name for site in runs.sites for name in _names(getattr(site, key))] for key in _GROUPS}
         names = {"runs": driven["new"], "baseline_runs": driven["baseline"], "test_runs": driven["test"]}
-        return [{"heightmap": "none: the runs have no positions", **names, "used_m": sum(measured.driven_m), "main": True}]
+        return [
+            {"heightmap": "none: the runs have no positions", **names, "used_m": sum(measured.driven_m), "main": True}
+        ]
     return [
         {
             "heightmap": site.heightmap.source,

@@ -97,9 +97,16 @@ def drive_lines(found: Calibration, fold: NDArray[np.int64]) -> list[str]:
     columns += [1e3 * np.nan_to_num(of.columns[name]) * of.duration_s for name in _AUXILIARY if name in of.columns]
     x = np.stack(columns, axis=1)
     drives = np.stack([np.bincount(rows.run, column) for column in x.T], axis=1)
-    energy, left_out = np.bincount(rows.run, rows.measured), np.array([fold[rows.run == k][0] for k in np.unique(rows.run)])
+    energy, left_out = (
+        np.bincount(rows.run, rows.measured),
+        np.array([fold[rows.run == k][0] for k in np.unique(rows.run)]),
+    )
     said = {key: np.bincount(rows.run, held) for key, held in found.held_out.items()}
-    for count, words in ((1, "distance"), (6, "+ climb, time, speed, kinetic energy"), (len(columns), "+ auxiliary power")):
+    for count, words in (
+        (1, "distance"),
+        (6, "+ climb, time, speed, kinetic energy"),
+        (len(columns), "+ auxiliary power"),
+    ):
         for kind, (a, b, of_row) in {"metres": (x, rows.measured, fold), "drives": (drives, energy, left_out)}.items():
             out = np.empty(len(energy))
             for k in np.unique(left_out):
@@ -110,7 +117,9 @@ def drive_lines(found: Calibration, fold: NDArray[np.int64]) -> list[str]:
     lines = ["| energy of a drive | mean error | root mean square | sum |", "| --- | --- | --- | --- |"]
     for key, total in said.items():
         away = total / energy - 1.0
-        spread = f"{np.abs(away).mean():.1%} | {np.sqrt(np.mean(away**2)):.1%} | {total.sum() / energy.sum() - 1.0:+.1%}"
+        spread = (
+            f"{np.abs(away).mean():.1%} | {np.sqrt(np.mean(away**2)):.1%} | {total.sum() / energy.sum() - 1.0:+.1%}"
+        )
         lines.append(f"| {key} | {spread} |")
     return lines
 

@@ -177,7 +177,14 @@ def test_a_direction_has_no_range():
 
 
 def test_a_power_is_known_by_its_name():
-    columns = ("Heating Power [kW]", "computer_w", "auxiliary power", "lidar_power_mW", "temperature", "Heater Current [A]")
+    columns = (
+        "Heating Power [kW]",
+        "computer_w",
+        "auxiliary power",
+        "lidar_power_mW",
+        "temperature",
+        "Heater Current [A]",
+    )
     rows = even(columns={name: np.array([1.0]) for name in columns})
     found = {form.logged: form.watts for form in AuxiliaryPower.variants(rows)}
     assert found == {"Heating Power [kW]": 1e3, "computer_w": 1.0, "auxiliary power": 1.0, "lidar_power_mW": 1e-3}

@@ -15,8 +15,8 @@ import joulemap as jm
 from joulemap.model.errors import InputError, RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.names import LIKELY, NAMED, candidate
-from joulemap.model.runs.without_map import ground_of_profile
 from joulemap.model.runs.reader import parse_run
+from joulemap.model.runs.without_map import ground_of_profile
 from joulemap.service.cli import app
 
 ROWS = 400
