@@ -239,7 +239,7 @@ def test_ways_to_name_runs_do_not_mix(field, tmp_path):
         ["--odometry", 1.0],
     ):
         assert calibrate(field, tmp_path, *words)[0] == 2
-    with pytest.raises(InputError, match="`baseline_runs` go with one heightmap"):
+    with pytest.raises(InputError, match="`baseline_runs` go with `runs`"):
         jm.calibrate(sites=pairs(field), baseline_runs=field / "before", robot=ROBOT, out=tmp_path)
     with pytest.raises(InputError, match=r"a1\.csv is given twice"):
         jm.calibrate(sites=[pairs(field)[0]] * 2, robot=ROBOT, out=tmp_path)

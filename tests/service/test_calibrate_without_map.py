@@ -105,9 +105,8 @@ def test_what_is_missing_is_named(drives, tmp_path):
     assert code != 0
     assert "neither 'x' and 'y' nor 'lat' and 'lon', nor a speed or a distance" in said + wrong
     (drives / "placed").mkdir(exist_ok=True)
-    (drives / "placed" / "placed.csv").write_text(
-        "t,x,y,current,voltage\n0,0,0,1,24\n1,1,0,1,24\n2,2,0,1,24\n3,3,0,1,24\n"
-    )
+    rows = "".join(f"{k},{k},0,1,24\n" for k in range(9))
+    (drives / "placed" / "placed.csv").write_text(f"t,x,y,current,voltage\n{rows}")
     code, said, wrong = calibrate(drives, tmp_path, runs="placed")
     assert code != 0
     assert "has positions: give the heightmap" in said + wrong
