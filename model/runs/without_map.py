@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,19 +64,19 @@ def sites_without_map(
         If one cannot be read.
     """
     tests = {file.resolve() for file in test_files}
-    kinds = {"files": files, "baseline_files": baseline_files}
-    named = [(key, file) for key, some in kinds.items() for file in some if file.resolve() not in tests]
-    named += [("test_files", file) for file in test_files]
-    runs = [_read(file, odometry) for _, file in named]
+    learned, baseline = ([f for f in some if f.resolve() not in tests] for some in (files, baseline_files))
+    named = [*learned, *baseline, *test_files]
+    kinds = np.repeat(np.arange(3), [len(learned), len(baseline), len(test_files)])
+    runs = [_read(file, odometry) for file in named]
     length_m = None
     if odometry is None:
         total_m = sum(float(np.nanmax(run.y) - np.nanmin(run.y)) for run in runs)
         length_m = max([total_m / MOST_SEGMENTS, *map(segment_length, runs)], default=None)
     sites = []
-    for (key, file), run in zip(named, runs, strict=True):
+    for kind, file, run in zip(kinds, named, runs, strict=True):
         ground = flat_heightmap([run]) if odometry is not None else ground_of_profile(run, length_m=length_m or 1.0)
-        site = Site(ground, (), robot, placed=False, odometry=odometry, length_m=length_m)
-        sites.append(replace(site, **{key: (file,)}))
+        mine = [(file,) if kind == of else () for of in range(3)]
+        sites.append(Site(ground, mine[0], robot, mine[1], mine[2], placed=False, odometry=odometry, length_m=length_m))
     return sites
 
 

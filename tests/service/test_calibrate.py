@@ -380,10 +380,12 @@ def test_wheel_speeds_stand_in_for_positions(wheels, tmp_path):
     assert "12 runs, 10,800 rows" in said
     assert not report["next_drive"]["placed"]
     assert "of level ground" in (out / "report.html").read_text()
-    for wrong in (["--heightmap", str(out / "report.json")], []):
-        given = options if wrong else options[3:]
-        assert runner.invoke(app, ["calibrate", *given, *wrong, "--out", str(out / "no")]).exit_code == 2
-        assert runner.invoke(app, ["suggest-drive", *given, *wrong]).exit_code == 2
+    for command in (["calibrate", "--out", str(out / "no")], ["suggest-drive"]):
+        both = [*command, *options, "--heightmap", str(out / "report.json")]
+        assert runner.invoke(app, both).exit_code == 2
+        without = runner.invoke(app, [*command, *options[3:]])
+        assert without.exit_code == 3
+        assert "--odometry with the track in metres" in " ".join(without.stderr.split())
     done = runner.invoke(app, ["suggest-drive", *options, "--length", "60", "--json", str(tmp_path / "drive.json")])
     assert done.exit_code == 0, done.output
     assert "wherever there is room" in done.output

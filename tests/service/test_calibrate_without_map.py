@@ -115,8 +115,10 @@ def test_what_is_missing_is_named(drives, tmp_path):
 def test_python_and_http_find_the_same(drives, found, service, tmp_path):
     report, _, _ = found
     files = sorted((drives / "runs").glob("*.csv"))
-    made = jm.calibrate(runs=files[:-2], test_runs=files[-2:], robot=CAR, model="physics", quick=True, out=tmp_path)
+    made = jm.calibrate(runs=files, robot=CAR, model="physics", quick=True, out=tmp_path / "all")
     assert [effect["name"] for effect in made.effects] == [effect["name"] for effect in report["effects"]]
+    made = jm.calibrate(runs=files[:-2], test_runs=files[-2:], robot=CAR, model="physics", quick=True, out=tmp_path)
+    assert made.effects[0]["name"] == report["effects"][0]["name"]
     assert made.report["test_set"]["error"]["after"]["run_energy_rms"] < 0.03
     with pytest.raises(InputError, match="belong to no heightmap"):
         jm.calibrate(sites=[], odometry_track_m=1.0, robot=CAR, out=tmp_path / "no")
