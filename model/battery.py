@@ -209,34 +209,15 @@ class Pack:
     full_as: float
 
     def open_circuit_v(self, charge: ArrayLike) -> NDArray[np.float64]:
-        """Return the voltage without a load.
-
-        Parameters
-        ----------
-        charge : array_like
-            States of charge, 0 to 1.
-
-        Returns
-        -------
-        ndarray of float
-            Voltage [V], linear between the points of the curve.
-        """
+        """Return the voltage without a load. Result: voltage [V], linear between the points of the curve."""
         at, volts = np.array(self.curve).T
         return np.interp(np.asarray(charge, dtype=np.float64), at, volts)
 
     def most_power_w(self, charge: ArrayLike) -> NDArray[np.float64]:
         """Return the most power at which the voltage holds.
 
-        Parameters
-        ----------
-        charge : array_like
-            States of charge, 0 to 1.
-
-        Returns
-        -------
-        ndarray of float
-            Power [W]: where the voltage under load falls to the cut-off voltage or to half the open-circuit voltage
-            (beyond, more current gives less power), or the limit; 0 where the open-circuit voltage is too low already.
+        Result: power [W]: where the voltage under load falls to the cut-off voltage or to half the open-circuit voltage
+        (beyond, more current gives less power), or the limit; 0 where the open-circuit voltage is too low already.
         """
         open_v = self.open_circuit_v(charge)
         least_v = np.maximum(self.cutoff_v, 0.5 * open_v)
@@ -248,25 +229,7 @@ class Pack:
 
 
 def pack_of(battery: Battery, nominal_voltage_v: float) -> Pack:
-    """Return the electric side of a battery.
-
-    Parameters
-    ----------
-    battery : Battery
-        Of which all but the capacity may be unknown.
-    nominal_voltage_v : float
-        Of the robot [V], where the battery does not say its own.
-
-    Returns
-    -------
-    Pack
-        Its charge is such that the whole curve gives the battery's energy.
-
-    Raises
-    ------
-    InputError
-        If the cut-off voltage is above every voltage of the curve.
-    """
+    """Return the electric side of a battery. Its charge is such that the whole curve gives the battery's energy."""
     nominal = nominal_voltage_v if battery.nominal_voltage_v is None else battery.nominal_voltage_v
     if battery.open_circuit_v is not None:
         curve = battery.open_circuit_v

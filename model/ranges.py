@@ -36,18 +36,7 @@ def _plain(number: float) -> str:
 
 
 def short(value: object) -> str:
-    """Return a value for a message, however long it is.
-
-    Parameters
-    ----------
-    value : object
-        As somebody gave it.
-
-    Returns
-    -------
-    str
-        At most 60 characters.
-    """
+    """Return a value for a message, however long it is."""
     if isinstance(value, int) and abs(value) >= 10**40:  # Python refuses to write very long integers
         return "an integer of more than 40 digits"
     return str(value)[:60]

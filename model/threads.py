@@ -20,20 +20,7 @@ Second = TypeVar("Second")
 
 
 def share_out(do: Callable[[Part], Result], parts: Sequence[Part]) -> list[Result]:
-    """Do every part, each in one of as many threads as numba may use, in no particular order.
-
-    Parameters
-    ----------
-    do : callable
-        Takes one part. What it raises is raised here.
-    parts : sequence
-        The parts.
-
-    Returns
-    -------
-    list
-        What it returned for each part, in their order.
-    """
+    """Do every part, each in one of as many threads as numba may use, in no particular order."""
     threads = min(numba.get_num_threads(), len(parts))
     if threads <= 1:
         return [do(part) for part in parts]
@@ -43,18 +30,7 @@ def share_out(do: Callable[[Part], Result], parts: Sequence[Part]) -> list[Resul
 
 
 def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
-    """Call two functions at the same time, or one after the other where numba may use one thread only.
-
-    Parameters
-    ----------
-    first, second : callable
-        What either raises is raised here.
-
-    Returns
-    -------
-    first, second : object
-        What they return.
-    """
+    """Call two functions at the same time, or one after the other where numba may use one thread only."""
     if numba.get_num_threads() < 2:
         return first(), second()
     with ThreadPoolExecutor(1) as pool:
@@ -64,18 +40,5 @@ def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[Firs
 
 
 def pieces(count: int, size: int) -> list[slice]:
-    """Divide a range into consecutive slices.
-
-    Parameters
-    ----------
-    count : int
-        End of the range, which begins at 0.
-    size : int
-        Length of a slice; the last one may be shorter.
-
-    Returns
-    -------
-    list of slice
-        The slices in order.
-    """
+    """Divide a range into consecutive slices."""
     return [slice(start, min(start + size, count)) for start in range(0, count, size)]

@@ -25,17 +25,7 @@ class TractionSource(Protocol):
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """Return every way in which the map or the robot lies outside what the model was trained on.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The map.
-        robot : Robot
-            The robot.
-
-        Returns
-        -------
-        list of str
-            Sentences with value and limit; empty where nothing is outside.
+        Result: sentences with value and limit; empty where nothing is outside.
         """
 
     def traction_and_std(
@@ -43,21 +33,7 @@ class TractionSource(Protocol):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """Predict the traction at every cell centre and heading.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The map.
-        robot : Robot
-            The robot.
-        frame : GridFrame
-            Its cell centres are the places asked about.
-        headings_rad : ndarray of float64, (headings,)
-            Headings of the motion [rad].
-
-        Returns
-        -------
-        traction : ndarray of float32, (rows, cols, headings)
-            Traction demand [J/m], NaN where the map is unknown.
-        std : ndarray of float32 or None
-            Standard deviation of the energy of a 1 m segment [J] in the same shape, None from a source without one.
+        `headings_rad` (headings,): headings of the motion [rad]. Returns `traction` (rows, cols, headings): traction
+        demand [J/m], NaN where the map is unknown; `std`: standard deviation of the energy of a 1 m segment [J] in the
+        same shape, None from a source without one.
         """

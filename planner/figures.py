@@ -17,16 +17,8 @@ from joulemap.planner.pricing.integrator import price_terms
 def figures_of(lattice: CostLattice) -> dict[str, Any]:
     """Return what `joined_figures` needs of a part of a lattice.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        The part, or the whole.
-
-    Returns
-    -------
-    dict
-        JSON-able: `min`, `max` and `total` of the prices [J/m] of all (cell, heading) pairs that may be driven, the
-        first two None where there is none; `counts`, the pairs under each `Blocked` code.
+    Result: JSON-able: `min`, `max` and `total` of the prices [J/m] of all (cell, heading) pairs that may be driven, the
+    first two None where there is none; `counts`, the pairs under each `Blocked` code.
     """
     counts = np.zeros(len(Blocked), dtype=np.int64)
     least, most, total = _tally(
@@ -46,16 +38,8 @@ def figures_of(lattice: CostLattice) -> dict[str, Any]:
 def joined_figures(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the figures of a lattice from those of its parts.
 
-    Parameters
-    ----------
-    parts : sequence of dict
-        What `figures_of` returned for each.
-
-    Returns
-    -------
-    dict
-        JSON-able: `energy_per_m`, the min, mean and max [J/m] over all (cell, heading) pairs that may be driven, None
-        where there is none; `blocked`, the share of all pairs under each reason, `free` included.
+    Result: JSON-able: `energy_per_m`, the min, mean and max [J/m] over all (cell, heading) pairs that may be driven,
+    None where there is none; `blocked`, the share of all pairs under each reason, `free` included.
     """
     counts = np.sum([part["counts"] for part in parts], axis=0)
     driven = [part for part in parts if part["counts"][Blocked.FREE]]

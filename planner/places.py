@@ -25,27 +25,7 @@ _NEIGHBOURS = np.array([(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if (r, c)
 def check_place(lattice: CostLattice, x: float, y: float, *, name: str) -> tuple[int, int]:
     """Return the cell under a world point, if it may be driven in some heading.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    x, y : float
-        World point [m].
-    name : str
-        What messages call the point, for example "start".
-
-    Returns
-    -------
-    row, col : int
-        The cell.
-
-    Raises
-    ------
-    PointError
-        If the point is not finite or lies outside the map.
-    BlockedError
-        If every heading is blocked. Its context has `reason`, the label that comes first in `Blocked`, and where there
-        is one within `FURTHEST_CELLS`, the nearest free place: `nearest` [x, y] and `nearest_m`, its distance [m].
+    `x`, `y`: world point [m]. Raises BlockedError if every heading is blocked.
     """
     row, col = lattice.frame.cell_of(x, y, name=name)
     codes = _codes(lattice, row, col)
@@ -69,15 +49,7 @@ def check_place(lattice: CostLattice, x: float, y: float, *, name: str) -> tuple
 def free_places(lattice: CostLattice) -> NDArray[np.bool_]:
     """Return which cells may be driven in some heading: where `check_place` raises nothing.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-
-    Returns
-    -------
-    ndarray of bool, (rows, cols)
-        True there.
+    The result is (rows, cols).
     """
     east, north = heading_vector(heading_bins(lattice.headings))
     free = np.empty(lattice.frame.shape, dtype=np.bool_)
@@ -107,30 +79,8 @@ def end_point(lattice: CostLattice, x: float, y: float, *, name: str, snap: bool
     That is the point itself if some leg joins it to a neighbouring cell centre, else (it is next to blocked ground) the
     centre of its own cell.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    x, y : float
-        World point [m].
-    name : str
-        What messages call the point, for example "start".
-    snap : bool, default False
-        Whether to take the nearest free place where the point is on blocked ground.
-
-    Returns
-    -------
-    point : ndarray of float, (2,)
-        Fractional (row, col).
-    note : str or None
-        Where the point was moved to, if it was.
-
-    Raises
-    ------
-    PointError
-        If the point is not finite or lies outside the map.
-    BlockedError
-        If the point is on blocked ground, and `snap` is off or finds nothing.
+    `x`, `y`: world point [m]. Returns `point` (2,): fractional (row, col); `note`: where the point was moved to, if it
+    was. Raises BlockedError if the point is on blocked ground, and `snap` is off or finds nothing.
     """
     try:
         cell = check_place(lattice, x, y, name=name)
@@ -159,22 +109,9 @@ def nearest_free(
 ) -> tuple[float, float, float] | None:
     """Return the nearest cell centre from which, and to which, the robot may drive.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    x, y : float
-        World point [m].
-    furthest_cells : int, default 1000
-        Half the side of the largest window that is looked at.
+    `x`, `y`: world point [m]. Result: world x, y [m] of the centre and its distance [m]; None where there is none in
+    the window.
 
-    Returns
-    -------
-    tuple of float or None
-        World x, y [m] of the centre and its distance [m]; None where there is none in the window.
-
-    Notes
-    -----
     The window around the point grows until it holds the answer, so the work is proportional to the area of the circle
     around the point in which nothing is free.
     """

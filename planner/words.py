@@ -4,36 +4,14 @@ from __future__ import annotations
 
 
 def energy_words(energy_j: float) -> str:
-    """Return an energy in words, with watt-hours beside it once they matter.
-
-    Parameters
-    ----------
-    energy_j : float
-        Energy [J].
-
-    Returns
-    -------
-    str
-        For example "12.35 kJ (3.43 Wh)".
-    """
+    """Return an energy in words, with watt-hours beside it once they matter."""
     if abs(energy_j) < 1000.0:
         return f"{energy_j:.0f} J"
     return f"{energy_j / 1000.0:.2f} kJ ({energy_j / 3600.0:.2f} Wh)"
 
 
 def duration_words(seconds: float) -> str:
-    """Return a duration in words.
-
-    Parameters
-    ----------
-    seconds : float
-        Duration [s].
-
-    Returns
-    -------
-    str
-        Minutes and seconds, or hours and minutes, for example "3 min 14 s".
-    """
+    """Return a duration in words. Result: minutes and seconds, or hours and minutes, for example "3 min 14 s"."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
@@ -42,15 +20,7 @@ def duration_words(seconds: float) -> str:
 def probability_words(probability: float) -> str:
     """Return a probability as far as it is worth saying: nobody knows the tails.
 
-    Parameters
-    ----------
-    probability : float
-        Probability, 0..1.
-
-    Returns
-    -------
-    str
-        Whole percent; beyond 1 and 99 % only that.
+    Result: whole percent; beyond 1 and 99 % only that.
     """
     if probability >= 0.99:
         return "more than 99 %"
@@ -60,15 +30,7 @@ def probability_words(probability: float) -> str:
 def watt_words(power_w: float | None) -> str:
     """Return a power with its unit.
 
-    Parameters
-    ----------
-    power_w : float or None
-        Power [W]; None where it is not known.
-
-    Returns
-    -------
-    str
-        Whole watts from 100 W on, three digits below.
+    `power_w`: power [W], None where it is not known. Result: whole watts from 100 W on, three digits below.
     """
     if power_w is None:
         return "unknown power"

@@ -30,22 +30,8 @@ _LATITUDE, _LONGITUDE = ("lat", "latitude"), ("lon", "longitude", "lng")
 def to_wgs84(crs: str | None, xy: ArrayLike) -> NDArray[np.float64]:
     """Return points of a map as longitude and latitude.
 
-    Parameters
-    ----------
-    crs : str or None
-        Coordinate reference system of the map.
-    xy : array_like, (n, 2 or more)
-        World x, y [m]; further columns are not used.
-
-    Returns
-    -------
-    ndarray of float64, (n, 2)
-        Longitude, latitude [degrees], WGS 84.
-
-    Raises
-    ------
-    InputError
-        If the map has no CRS, or one without a known place on Earth.
+    `xy` (n, 2 or more): world x, y [m], further columns are not used. Result (n, 2): longitude, latitude [degrees], WGS
+    84.
     """
     points = np.asarray(xy, dtype=np.float64)
     found = np.column_stack(_transformer(known_crs(crs), True).transform(points[:, 0], points[:, 1]))
@@ -57,45 +43,15 @@ def to_wgs84(crs: str | None, xy: ArrayLike) -> NDArray[np.float64]:
 def from_wgs84(crs: str | None, lonlat: ArrayLike) -> NDArray[np.float64]:
     """Return places on Earth in the coordinates of a map.
 
-    Parameters
-    ----------
-    crs : str or None
-        Coordinate reference system of the map.
-    lonlat : array_like, (n, 2 or more)
-        Longitude, latitude [degrees], WGS 84; further columns are not used.
-
-    Returns
-    -------
-    ndarray of float64, (n, 2)
-        World x, y [m]; infinite where the CRS does not reach.
-
-    Raises
-    ------
-    InputError
-        If the map has no CRS, or one without a known place on Earth.
+    `lonlat` (n, 2 or more): longitude, latitude [degrees], WGS 84, further columns are not used. Result (n, 2): world
+    x, y [m]; infinite where the CRS does not reach.
     """
     points = np.asarray(lonlat, dtype=np.float64)
     return np.column_stack(_transformer(known_crs(crs), False).transform(points[:, 0], points[:, 1]))
 
 
 def known_crs(crs: str | None) -> str:
-    """Return the CRS of a map that has one.
-
-    Parameters
-    ----------
-    crs : str or None
-        Coordinate reference system of the map.
-
-    Returns
-    -------
-    str
-        The same.
-
-    Raises
-    ------
-    InputError
-        If it is None.
-    """
+    """Return the CRS of a map that has one."""
     if crs is None:
         raise InputError(
             "the map has no coordinate reference system, so its places have no latitude and longitude: make it from a "
@@ -127,26 +83,8 @@ def world_point(frame: GridFrame, place: Any, *, name: str = "point") -> WorldPo
     Two numbers are x, y where they lie on the map. Elsewhere they are latitude, longitude if that is a place on the
     map, and a note says so. An object with `lat` and `lon` is always in degrees.
 
-    Parameters
-    ----------
-    frame : GridFrame
-        Of the map.
-    place : sequence of float or mapping
-        World x, y [m]; latitude, longitude [degrees]; or an object with `lat` and `lon`. A height is not used.
-    name : str, optional
-        What messages call the place.
-
-    Returns
-    -------
-    WorldPoint
-        It may lie outside the map, if nothing else can be meant.
-
-    Raises
-    ------
-    InputError
-        If it is neither, or the map has no CRS and degrees are given.
-    PointError
-        If it is longitude, latitude: the wrong way round.
+    `place`: world x, y [m], latitude, longitude [degrees], or an object with `lat` and `lon`. The result may lie
+    outside the map, if nothing else can be meant.
     """
     if isinstance(place, Mapping):
         return _of_object(frame, place, name)
@@ -184,27 +122,7 @@ def world_point(frame: GridFrame, place: Any, *, name: str = "point") -> WorldPo
 
 
 def degrees(place: Mapping[str, Any], name: str) -> tuple[float, float]:
-    """Return latitude and longitude of an object.
-
-    Parameters
-    ----------
-    place : mapping
-        With `lat` and `lon`, or `latitude` and `longitude`.
-    name : str
-        What messages call the place.
-
-    Returns
-    -------
-    tuple of float
-        Latitude, longitude [degrees].
-
-    Raises
-    ------
-    InputError
-        If it is no such object.
-    PointError
-        If a value is out of range.
-    """
+    """Return latitude and longitude of an object. Result: latitude, longitude [degrees]."""
     try:
         keys = {str(key).lower(): value for key, value in place.items()}
         known = [next((key for key in names if key in keys), None) for names in (_LATITUDE, _LONGITUDE)]
@@ -246,20 +164,7 @@ def _span(frame: GridFrame) -> str:
 
 
 def on_map(frame: GridFrame, x: float, y: float) -> bool:
-    """Return whether a point lies on a map.
-
-    Parameters
-    ----------
-    frame : GridFrame
-        Of the map.
-    x, y : float
-        World coordinates [m].
-
-    Returns
-    -------
-    bool
-        False for NaN.
-    """
+    """Return whether a point lies on a map. `x`, `y`: world coordinates [m]. Result: False for NaN."""
     west, south, east, north = frame.bounds
     return west <= x <= east and south <= y <= north
 

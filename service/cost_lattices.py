@@ -20,33 +20,7 @@ from joulemap.service.models import DEFAULT_MODEL, find_predictor, planning_robo
 
 
 def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_values: int | None = None) -> Tiling:
-    """Return the tiles of the cost lattice over a heightmap, without building it.
-
-    Parameters
-    ----------
-    frame : GridFrame
-        Frame of the heightmap.
-    spacing_m : float
-        Side of a cell of the lattice [m].
-    headings : int
-        Number of heading bins.
-    max_values : int, optional
-        Most values (rows * cols * headings) that the lattice may have. Without it any number is allowed.
-
-    Returns
-    -------
-    Tiling
-        The lattice's frame, cut into tiles.
-
-    Raises
-    ------
-    HeightmapError
-        If the spacing does not fit the map.
-    InputError
-        If the number of headings is out of range.
-    TooLargeError
-        If the lattice has more than `max_values` values.
-    """
+    """Return the tiles of the cost lattice over a heightmap, without building it."""
     tiling = Tiling.of(frame, spacing_m=spacing_m, headings=headings)
     if max_values is not None and tiling.values > max_values:
         raise TooLargeError(
@@ -70,42 +44,8 @@ def prepare_build(
 ) -> tuple[Robot, Predictor, Tiling]:
     """Return what a cost lattice is built from: the robot, the model and the tiles.
 
-    Parameters
-    ----------
-    ground : Ground
-        The heightmap.
-    robot : Robot
-        The robot that drives.
-    model : str or Path, optional
-        Name, id or folder of the model, see `find_predictor`.
-    spacing_m : float, optional
-        Side of a cell [m].
-    headings : int, optional
-        Number of heading bins.
-    models_dir : Path, optional
-        Folder of trained models, see `find_predictor`.
-    max_values : int, optional
-        Most values of the lattice, see `check_lattice`.
-
-    Returns
-    -------
-    robot : Robot
-        With the energy of turning that the model learned, where it learned one.
-    predictor : Predictor
-        The model.
-    tiling : Tiling
-        The tiles of the lattice.
-
-    Raises
-    ------
-    ModelError
-        If there is no such model, or its files do not fit together.
-    HeightmapError
-        If the spacing does not fit the map.
-    InputError
-        If the number of headings is out of range.
-    TooLargeError
-        If the lattice has more than `max_values` values.
+    Returns `robot`: with the energy of turning that the model learned, where it learned one; `predictor`: the model;
+    `tiling`: the tiles of the lattice.
     """
     tiling = check_lattice(ground.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
     predictor = find_predictor(model, models_dir=models_dir)
@@ -113,20 +53,7 @@ def prepare_build(
 
 
 def load_kernels(model: str | Path, robot: Robot) -> None:
-    """Load a model's modules and its compiled kernels, which needs no map: a caller may read the map meanwhile.
-
-    Parameters
-    ----------
-    model : str or Path
-        Name or folder of the model, see `find_predictor`.
-    robot : Robot
-        The robot to ask for.
-
-    Raises
-    ------
-    ModelError
-        If there is no such model, or its files do not fit together.
-    """
+    """Load a model's modules and its compiled kernels, which needs no map: a caller may read the map meanwhile."""
     knows_spread(find_predictor(model), robot)
 
 
@@ -142,38 +69,7 @@ def make_cost_lattice(
 ) -> CostLattice:
     """Return the cost lattice of a heightmap for a robot, in memory.
 
-    Parameters
-    ----------
-    ground : Ground
-        The heightmap.
-    robot : Robot
-        The robot that drives.
-    model : str or Path, optional
-        Name, id or folder of the model, see `find_predictor`.
-    spacing_m : float, optional
-        Side of a cell [m].
-    headings : int, optional
-        Number of heading bins.
-    models_dir : Path, optional
-        Folder of trained models, see `find_predictor`.
-    progress : callable, optional
-        Called with the share that is done, 0..1.
-
-    Returns
-    -------
-    CostLattice
-        Prices [J/m] and limits of every cell in every heading.
-
-    Raises
-    ------
-    ModelError
-        If there is no such model, or its files do not fit together.
-    HeightmapError
-        If the spacing does not fit the map.
-    InputError
-        If the number of headings is out of range.
-    TooLargeError
-        If the lattice does not fit into memory.
+    Result: prices [J/m] and limits of every cell in every heading.
     """
     robot, predictor, _ = prepare_build(
         ground, robot, model=model, spacing_m=spacing_m, headings=headings, models_dir=models_dir
@@ -215,36 +111,7 @@ def write_cost_lattice(
 ) -> Written:
     """Write a cost lattice of any size into a folder, tile by tile.
 
-    Parameters
-    ----------
-    path : Path
-        The folder to write (Zarr).
-    ground : Ground
-        The heightmap.
-    robot : Robot
-        The robot that drives.
-    model : str or Path, optional
-        Name or folder of the model, see `find_predictor`.
-    spacing_m : float, optional
-        Side of a cell [m].
-    headings : int, optional
-        Number of heading bins.
-    progress : callable, optional
-        Called with the share that is done, 0..1.
-
-    Returns
-    -------
-    Written
-        What was written. The lattice itself is never held in memory as a whole.
-
-    Raises
-    ------
-    ModelError
-        If there is no such model, or its files do not fit together.
-    HeightmapError
-        If the spacing does not fit the map.
-    InputError
-        If the number of headings is out of range.
+    The lattice itself is never held in memory as a whole.
     """
     robot, predictor, tiling = prepare_build(ground, robot, model=model, spacing_m=spacing_m, headings=headings)
     parts: list[dict[str, Any]] = []
@@ -257,15 +124,7 @@ def write_cost_lattice(
 def summarise(lattice: CostLattice) -> dict[str, Any]:
     """Return the figures that describe a lattice as a whole.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        In memory.
-
-    Returns
-    -------
-    dict
-        ``energy_per_m`` (min, mean and max [J/m], or None where nothing may be driven) and ``blocked`` (share of
-        (cell, heading) pairs by reason).
+    Result: ``energy_per_m`` (min, mean and max [J/m], or None where nothing may be driven) and ``blocked`` (share of
+    (cell, heading) pairs by reason).
     """
     return joined_figures([figures_of(lattice)])

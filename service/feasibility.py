@@ -67,39 +67,9 @@ def assess(
 
     Give either `path`, or `start` and `goal`.
 
-    Parameters
-    ----------
-    planner : RoutePlanner, StoredPlanner or CostLattice
-        The map to drive on.
-    battery : Battery
-        Its capacity, charge and reserve.
-    path : array_like, (n, 2), optional
-        World points [m], or places as `Places.path` takes them, in the order of driving.
-    start, goal : sequence of float or mapping, optional
-        World x, y [m], or a place as `world_point` takes it.
-    round_trip : bool, optional
-        Judge the way back too. A given path is driven back in the opposite direction, each leg at its reversed
-        heading. From goal to start the best route is searched anew: on a slope it need not be the same.
-    snap : bool, optional
-        Move a start or goal on blocked ground to the nearest free place; the route's notes say where.
-    objective : Objective, optional
-        What the routes from start to goal and back are chosen by, together. By default their expected energy.
-
-    Returns
-    -------
-    Assessment
-        The verdict and its routes.
-
-    Raises
-    ------
-    InputError
-        If not exactly one of `path`, and `start` with `goal`, is given, or the objective cannot be weighed.
-    PointError
-        If a point lies outside the map.
-    BlockedError
-        If start or goal is on blocked ground without `snap`, or if a leg of the path is.
-    NoRouteError
-        If no route joins start and goal.
+    `path` (n, 2): world points [m], or places as `Places.path` takes them, in the order of driving; `start`, `goal`:
+    world x, y [m], or a place as `world_point` takes it. Raises BlockedError if start or goal is on blocked ground
+    without `snap`, or if a leg of the path is; NoRouteError if no route joins start and goal.
     """
     from joulemap.planner.route_planner import RoutePlanner
     from joulemap.planner.stored_planner import StoredPlanner
@@ -137,24 +107,7 @@ def assess(
 def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery) -> Verdict:
     """Return the verdict for routes that are driven one after another.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        That all routes were priced with.
-    routes : sequence of Route
-        In the order of driving.
-    battery : Battery
-        Its capacity, charge and reserve.
-
-    Returns
-    -------
-    Verdict
-        With a probability where the lattice's model knows its own uncertainty.
-
-    Raises
-    ------
-    InputError
-        If the battery's cut-off voltage is above every voltage that it has.
+    Result: with a probability where the lattice's model knows its own uncertainty.
     """
     return judge_course(
         course_of(routes, weight_n=lattice.robot.weight_n),

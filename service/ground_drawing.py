@@ -32,21 +32,8 @@ def draw_ground(
 ) -> list[Patch]:
     """Draw tinted hillshade, contour lines with their heights, and what may not be driven.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where to draw.
-    heights : ndarray, (rows, cols) [m]
-        NaN where unknown.
-    frame : GridFrame
-        Where the cells lie.
-    blocked : ndarray of uint8, (rows, cols), optional
-        `Blocked` codes of cells that may not be driven in any heading.
-
-    Returns
-    -------
-    list of matplotlib.patches.Patch
-        A legend handle for unknown ground and for each reason that occurs.
+    `heights` (rows, cols): NaN where unknown; `blocked` (rows, cols): `Blocked` codes of cells that may not be driven
+    in any heading. Result: a legend handle for unknown ground and for each reason that occurs.
     """
     ground, extent = thinned(heights, frame)
     style_map(axes, frame)
@@ -71,21 +58,8 @@ def tinted_relief(
 ) -> Image:
     """Return ground as an image: shaded relief, tinted by height.
 
-    Parameters
-    ----------
-    ground : ndarray, (rows, cols) [m]
-        Heights, NaN where unknown.
-    extent : tuple of float
-        West, east, south, north [m].
-    between : tuple of float, optional
-        `tint_range` of the whole, where this is a part of it.
-    steep : float, optional
-        Its `steepness`.
-
-    Returns
-    -------
-    ndarray, (rows, cols, 3)
-        Red, green and blue, 0 to 1; white where unknown.
+    `ground` (rows, cols): heights, NaN where unknown; `extent`: west, east, south, north [m]. Result (rows, cols, 3):
+    red, green and blue, 0 to 1; white where unknown.
     """
     low, high = tint_range(ground) if between is None else between
     norm = Normalize(low, high, clip=True)
@@ -98,15 +72,7 @@ def tinted_relief(
 def tint_range(ground: Image) -> tuple[float, float]:
     """Return the heights at the two ends of the tints of `tinted_relief`.
 
-    Parameters
-    ----------
-    ground : ndarray, (rows, cols) [m]
-        Heights, NaN where unknown.
-
-    Returns
-    -------
-    tuple of float
-        2 % and 98 % quantiles [m].
+    `ground` (rows, cols): heights, NaN where unknown. Result: 2 % and 98 % quantiles [m].
     """
     known = ground[np.isfinite(ground)]
     low, high = (float(q) for q in np.quantile(known, [0.02, 0.98])) if known.size else (0.0, 1.0)
@@ -114,20 +80,7 @@ def tint_range(ground: Image) -> tuple[float, float]:
 
 
 def draw_lattice_ground(axes: Axes, lattice: CostLattice) -> list[Patch]:
-    """Draw the terrain of a cost map, and what may not be driven in any heading, or not in some.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where to draw.
-    lattice : CostLattice
-        The cost map.
-
-    Returns
-    -------
-    list of matplotlib.patches.Patch
-        As `draw_ground`, and one for what is blocked in some headings.
-    """
+    """Draw the terrain of a cost map, and what may not be driven in any heading, or not in some."""
     codes = blocked_everywhere(lattice)
     handles = draw_ground(axes, lattice.elevation_m, lattice.frame, blocked=codes)
     partly = (codes == Blocked.FREE) & (lattice.blocked_by_heading() != Blocked.FREE).any(axis=2)
@@ -143,40 +96,14 @@ def draw_lattice_ground(axes: Axes, lattice: CostLattice) -> list[Patch]:
 
 
 def blocked_everywhere(lattice: CostLattice) -> NDArray[np.uint8]:
-    """Return what may not be driven in any heading, and why.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        The cost map.
-
-    Returns
-    -------
-    ndarray of uint8, (rows, cols)
-        `Blocked` codes; FREE where some heading may be driven.
-    """
+    """Return what may not be driven in any heading, and why. The result is (rows, cols)."""
     by_heading = lattice.blocked_by_heading()
     some = (by_heading == Blocked.FREE).any(axis=2)
     return np.where(some, np.uint8(Blocked.FREE), by_heading.min(axis=2)).astype(np.uint8)
 
 
 def draw_blocked(axes: Axes, codes: NDArray[np.uint8], extent: Extent) -> list[Patch]:
-    """Paint blocked cells by reason.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where to draw.
-    codes : ndarray of uint8, (rows, cols)
-        `Blocked` codes.
-    extent : tuple of float
-        West, east, south, north [m].
-
-    Returns
-    -------
-    list of matplotlib.patches.Patch
-        A legend handle for each reason that occurs.
-    """
+    """Paint blocked cells by reason. `codes` (rows, cols); `extent`: west, east, south, north [m]."""
     handles = []
     paint = np.zeros((*codes.shape, 4))
     for reason, (colour, hatch, _) in REASONS.items():

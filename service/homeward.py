@@ -98,40 +98,10 @@ def homeward(
 ) -> Homeward:
     """Return until where a robot may follow the rest of its path and still come home.
 
-    Parameters
-    ----------
-    planner : RoutePlanner
-        Of a cost map in memory. It keeps the energies towards home and the places to charge.
-    position : tuple of float
-        Where the robot is, world x, y [m].
-    home : tuple of float
-        World x, y [m].
-    battery : Battery
-        With its charge now.
-    path : array_like, (n, 2), optional
-        The rest of its path, world x, y [m].
-    charging : sequence of tuple of float, optional
-        Places to charge.
-    confidence : float or None, optional
-        Probability with which the battery must last; None where the expected energy decides. Without effect where the
-        model does not know its uncertainty.
+    `position`: where the robot is, world x, y [m]; `home`: world x, y [m]; `path` (n, 2): the rest of its path, world
+    x, y [m]; `confidence`: probability with which the battery must last, None where the expected energy decides. Raises
+    BlockedError if home or a place to charge is on blocked ground, or the path crosses it.
 
-    Returns
-    -------
-    Homeward
-        With the point of no return.
-
-    Raises
-    ------
-    InputError
-        If there are too many places to charge, or the map is too large to be in memory.
-    PointError
-        If a place lies outside the map.
-    BlockedError
-        If home or a place to charge is on blocked ground, or the path crosses it.
-
-    Notes
-    -----
     The ways home are those over grid moves, which take a little more than routes at any angle: the point of no return
     is on the safe side. The uncertainty of a way is that of its energy on ground of the map's mean. Of the battery its
     energy counts, not its voltage under load.

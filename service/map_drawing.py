@@ -60,26 +60,8 @@ def draw_costmap(
 ) -> CostmapDrawing:
     """Draw a cost map in colour, with what is blocked and why.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where to draw.
-    lattice : CostLattice
-        The cost map.
-    view : str, optional
-        "mean" over the headings that may be driven, "directionality" (dearest minus cheapest of them), or "heading".
-    heading_deg : float, optional
-        The heading of the view "heading", clockwise from north, any angle.
-
-    Returns
-    -------
-    CostmapDrawing
-        What a colour bar, a title and a legend need.
-
-    Raises
-    ------
-    InputError
-        On another view, or a heading that is missing or not finite.
+    `heading_deg`: the heading of the view "heading", clockwise from north, any angle. Result: what a colour bar, a
+    title and a legend need.
     """
     values, codes, title = values_of_view(lattice, view, heading_deg)
     shown, extent = thinned(np.where(codes == Blocked.FREE, values, np.nan), lattice.frame)
@@ -106,28 +88,8 @@ def draw_costmap(
 def values_of_view(lattice: CostLattice, view: str, heading_deg: float | None) -> tuple[Image, NDArray[np.uint8], str]:
     """Return what a cost map is coloured by.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        The cost map.
-    view : str
-        "mean", "directionality" or "heading", as for `draw_costmap`.
-    heading_deg : float or None
-        The heading of the view "heading".
-
-    Returns
-    -------
-    values : ndarray, (rows, cols) [J/m]
-        To be coloured where nothing is blocked.
-    codes : ndarray of uint8, (rows, cols)
-        `Blocked` codes.
-    title : str
-        What is shown.
-
-    Raises
-    ------
-    InputError
-        On another view, or a heading that is missing or not finite.
+    Returns `values` (rows, cols): to be coloured where nothing is blocked; `codes` (rows, cols): `Blocked` codes;
+    `title`: what is shown.
     """
     if view == "heading":
         if heading_deg is None or not math.isfinite(heading_deg):

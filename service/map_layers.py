@@ -32,38 +32,14 @@ _ENERGY_ALPHA, _PARTLY_ALPHA = 0.82, 0.35
 
 
 def overview(stored: StoredLattice) -> CostLattice:
-    """Return a coarse cost map of one that is too large for memory: of each square of cells, the one in the middle.
-
-    Parameters
-    ----------
-    stored : StoredLattice
-        The cost map.
-
-    Returns
-    -------
-    CostLattice
-        With as many cells as a layer has pixels.
-    """
+    """Return a coarse cost map of one that is too large for memory: of each square of cells, the one in the middle."""
     step = thinning(stored.frame.shape)
     rows, cols = (range(step // 2, max(n // step, 1) * step, step) for n in stored.frame.shape)
     return sampled(stored, rows, cols)
 
 
 def sampled(lattice: CostLattice | StoredLattice, rows: range, cols: range) -> CostLattice:
-    """Return every n-th cell of a part of a cost map as a coarse cost map.
-
-    Parameters
-    ----------
-    lattice : CostLattice or StoredLattice
-        The cost map.
-    rows, cols : range
-        The cells, with the same step n; each is in the middle of a square of n x n cells.
-
-    Returns
-    -------
-    CostLattice
-        Whose cells are these squares.
-    """
+    """Return every n-th cell of a part of a cost map as a coarse cost map."""
     frame, step = lattice.frame, rows.step
     if isinstance(lattice, CostLattice):
         arrays = tuple(part[rows.start : rows.stop : step, cols.start : cols.stop : step] for part in _arrays(lattice))
@@ -89,17 +65,7 @@ def _arrays(lattice: CostLattice) -> tuple[Image, Image, Image, Image]:
 def coarse_heights(ground: Ground) -> tuple[Image, Extent]:
     """Return the heights of a heightmap of any size, with as many cells as a layer has pixels.
 
-    Parameters
-    ----------
-    ground : Ground
-        Read strip by strip.
-
-    Returns
-    -------
-    heights : ndarray, (rows, cols) [m]
-        As of `thinned`.
-    extent : tuple of float
-        West, east, south, north [m].
+    Returns `heights` (rows, cols): as of `thinned`; `extent`: west, east, south, north [m].
     """
     frame, step = ground.frame, thinning(ground.frame.shape)
     strip = max(2, _STRIP_CELLS // (frame.cols * step)) * step
@@ -116,17 +82,7 @@ def coarse_heights(ground: Ground) -> tuple[Image, Extent]:
 def ground_layer(heights: Image, extent: Extent) -> bytes:
     """Draw shaded ground, tinted by height; what is unknown is transparent.
 
-    Parameters
-    ----------
-    heights : ndarray, (rows, cols) [m]
-        Thinned, NaN where unknown.
-    extent : tuple of float
-        West, east, south, north [m].
-
-    Returns
-    -------
-    bytes
-        A PNG over the extent.
+    `heights` (rows, cols): thinned, NaN where unknown; `extent`: west, east, south, north [m].
     """
     ground = heights
     times = _times(ground)
@@ -143,24 +99,8 @@ def ground_layer(heights: Image, extent: Extent) -> bytes:
 def energy_layer(lattice: CostLattice, *, view: str = "mean", heading_deg: float | None = None) -> bytes:
     """Draw energy per metre, or how much the heading matters, in colour; what is blocked is transparent.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        The cost map.
-    view : str, optional
-        "mean", "directionality" or "heading", as for `draw_costmap`.
-    heading_deg : float, optional
-        The heading of the view "heading", clockwise from north.
-
-    Returns
-    -------
-    bytes
-        A PNG over the map's bounds, in the colours of `colour_scale`.
-
-    Raises
-    ------
-    InputError
-        On another view, or a heading that is missing or not finite.
+    `heading_deg`: the heading of the view "heading", clockwise from north. Result: a PNG over the map's bounds, in the
+    colours of `colour_scale`.
     """
 
     def _priced(strip: CostLattice) -> Image:
@@ -172,22 +112,7 @@ def energy_layer(lattice: CostLattice, *, view: str = "mean", heading_deg: float
 
 
 def free_values(lattice: CostLattice, view: str, heading_deg: float | None) -> Image:
-    """Return what a view colours.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        The cost map, or a part of it.
-    view : str
-        As for `energy_layer`.
-    heading_deg : float or None
-        As for `energy_layer`.
-
-    Returns
-    -------
-    ndarray of float32, (rows, cols) [J/m]
-        NaN where blocked.
-    """
+    """Return what a view colours. Result (rows, cols): NaN where blocked."""
     values, codes, _ = values_of_view(lattice, view, heading_deg)
     return np.where(codes == Blocked.FREE, values, np.nan).astype(np.float32)
 
@@ -195,21 +120,8 @@ def free_values(lattice: CostLattice, view: str, heading_deg: float | None) -> I
 def energy_image(values: Image, light: Image, scale: tuple[float, float], view: str) -> Image:
     """Return energy per metre in colour, shaded.
 
-    Parameters
-    ----------
-    values : ndarray, (rows, cols) [J/m]
-        As of `free_values`.
-    light : ndarray, (rows, cols)
-        As of `hillshade`.
-    scale : tuple of float
-        As of `colour_scale`.
-    view : str
-        As for `energy_layer`.
-
-    Returns
-    -------
-    ndarray, (rows, cols, 4)
-        Red, green, blue and opacity, 0 to 1.
+    `values` (rows, cols): as of `free_values`; `light` (rows, cols): as of `hillshade`. Result (rows, cols, 4): red,
+    green, blue and opacity, 0 to 1.
     """
     low, high = scale
     image = colormaps[COLOURS[view]](np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0))
@@ -221,18 +133,7 @@ def energy_image(values: Image, light: Image, scale: tuple[float, float], view: 
 def blocked_layer(lattice: CostLattice, *, heading_deg: float | None = None) -> bytes:
     """Draw what may not be driven, hatched in the colour of its reason; the rest is transparent.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        The cost map.
-    heading_deg : float, optional
-        Draw what is blocked in this heading. Without it, what is blocked in every heading is hatched, and what is
-        blocked in some is pale.
-
-    Returns
-    -------
-    bytes
-        A PNG over the map's bounds.
+    Result: a PNG over the map's bounds.
     """
 
     codes = _by_strips(lattice, lambda strip: blocked_codes(strip, heading_deg))
@@ -245,17 +146,7 @@ def blocked_layer(lattice: CostLattice, *, heading_deg: float | None = None) -> 
 def blocked_codes(lattice: CostLattice, heading_deg: float | None) -> Image:
     """Return why cells may not be driven.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        The cost map, or a part of it.
-    heading_deg : float or None
-        As for `blocked_layer`.
-
-    Returns
-    -------
-    ndarray of uint8, (rows, cols)
-        `Blocked` codes, and one for what is blocked in some headings.
+    Result (rows, cols): `Blocked` codes, and one for what is blocked in some headings.
     """
     if heading_deg is not None:
         return lattice.blocked_at(np.array([np.deg2rad(heading_deg)]))[..., 0]
@@ -267,15 +158,7 @@ def blocked_codes(lattice: CostLattice, heading_deg: float | None) -> Image:
 def blocked_image(codes: Image) -> Image:
     """Return blocked ground, hatched in the colour of its reason.
 
-    Parameters
-    ----------
-    codes : ndarray of uint8, (rows, cols)
-        As of `blocked_codes`.
-
-    Returns
-    -------
-    ndarray, (rows, cols, 4)
-        Red, green, blue and opacity, 0 to 1.
+    `codes` (rows, cols): as of `blocked_codes`. Result (rows, cols, 4): red, green, blue and opacity, 0 to 1.
     """
     row, col = np.indices(codes.shape)
     image = np.zeros((*codes.shape, 4))
@@ -292,15 +175,7 @@ def blocked_image(codes: Image) -> Image:
 def layer_bounds(frame: GridFrame) -> tuple[float, float, float, float]:
     """Return where the layers of a map lie.
 
-    Parameters
-    ----------
-    frame : GridFrame
-        Of the map.
-
-    Returns
-    -------
-    tuple of float
-        West, south, east, north [m]; of a map with more cells than a layer has pixels, what fills whole pixels.
+    Result: west, south, east, north [m]; of a map with more cells than a layer has pixels, what fills whole pixels.
     """
     step = thinning(frame.shape)
     rows, cols = (max(n // step, 1) * step for n in frame.shape)
@@ -310,17 +185,7 @@ def layer_bounds(frame: GridFrame) -> tuple[float, float, float, float]:
 def colour_scale(lattice: CostLattice, view: str) -> tuple[float, float]:
     """Return the values at the two ends of the colours, the same for all headings so that they can be compared.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        The cost map.
-    view : str
-        As for `energy_layer`.
-
-    Returns
-    -------
-    tuple of float
-        2 % and 98 % quantiles [J/m], at least a tenth of the mean apart.
+    Result: 2 % and 98 % quantiles [J/m], at least a tenth of the mean apart.
     """
     step = max(1, int(np.sqrt(lattice.frame.rows * lattice.frame.cols / _SAMPLE)))
     frame = lattice.frame
@@ -340,20 +205,7 @@ def colour_scale(lattice: CostLattice, view: str) -> tuple[float, float]:
 
 
 def scale_colours(view: str, count: int = 9) -> list[str]:
-    """Return evenly spaced colours of a scale, from low to high.
-
-    Parameters
-    ----------
-    view : str
-        As for `energy_layer`.
-    count : int, optional
-        How many.
-
-    Returns
-    -------
-    list of str
-        As #rrggbb.
-    """
+    """Return evenly spaced colours of a scale, from low to high."""
     return [to_hex(colour) for colour in colormaps[COLOURS[view]](np.linspace(0.0, 1.0, count))]
 
 
@@ -376,18 +228,7 @@ def _darker(colour: str) -> tuple[float, ...]:
 
 
 def png(image: Image) -> bytes:
-    """Return an image as a file.
-
-    Parameters
-    ----------
-    image : ndarray, (rows, cols, 4)
-        Red, green, blue and opacity, 0 to 1.
-
-    Returns
-    -------
-    bytes
-        A PNG.
-    """
+    """Return an image as a file. `image` (rows, cols, 4): red, green, blue and opacity, 0 to 1."""
     sink = io.BytesIO()
     imsave(sink, image, format="png", pil_kwargs={"compress_level": 2})
     return sink.getvalue()

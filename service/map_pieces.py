@@ -52,36 +52,14 @@ class Look:
 
 
 def look_of(lattice: CostLattice) -> Look:
-    """Return what the pieces of a cost map have in common.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        The whole map, or its overview.
-
-    Returns
-    -------
-    Look
-        For `draw_piece`.
-    """
+    """Return what the pieces of a cost map have in common."""
     ground, extent = thinned(lattice.elevation_m, lattice.frame)
     scales = {view: colour_scale(lattice, view) for view in VIEWS}
     return Look(tint_range(ground), steepness(ground, extent), scales)
 
 
 def levels_of(shape: tuple[int, int]) -> int:
-    """Return on how many levels a map has pieces that are finer than its layers.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the map.
-
-    Returns
-    -------
-    int
-        0 where a pixel of a layer is a cell; pixels of level 0 are cells, those of level 1 are 2 x 2 cells, and so on.
-    """
+    """Return on how many levels a map has pieces that are finer than its layers."""
     return min(int(np.ceil(np.log2(thinning(shape)))), MOST_LEVELS)
 
 
@@ -96,30 +74,9 @@ def draw_piece(
 ) -> bytes:
     """Draw ground, energy and blocked ground of a piece over each other.
 
-    Parameters
-    ----------
-    lattice : CostLattice or StoredLattice
-        The cost map.
-    look : Look
-        Of this map.
-    place : tuple of int
-        Level, and row and column among the pieces of this level, counted from the north-west.
-    view : str or None
-        As for `energy_layer`; None for the ground alone.
-    heading_deg : float, optional
-        As for `energy_layer` and `blocked_layer`.
-    blocked : bool, optional
-        Whether blocked ground is drawn.
-
-    Returns
-    -------
-    bytes
-        A PNG. Cells at the edge of the map that fill no pixel are not drawn.
-
-    Raises
-    ------
-    NotFoundError
-        If the map has no such piece.
+    `place`: level, and row and column among the pieces of this level, counted from the north-west; `view`: as for
+    `energy_layer`, None for the ground alone. Result: a PNG. Cells at the edge of the map that fill no pixel are not
+    drawn. Raises NotFoundError if the map has no such piece.
     """
     frame, (level, *_) = lattice.frame, place
     step = 2**level

@@ -22,17 +22,7 @@ _CONTOUR_PIXELS, _CONTOURS, _SHORTEST_CONTOUR = 260, 14, 6
 def contours(heights: Image, frame: GridFrame) -> list[tuple[float, list[NDArray[np.float64]]]]:
     """Return contour lines of the ground, simplified to what can be seen of the whole map.
 
-    Parameters
-    ----------
-    heights : ndarray, (rows, cols) [m]
-        NaN where unknown.
-    frame : GridFrame
-        Where the cells lie.
-
-    Returns
-    -------
-    list of tuple
-        Height [m] and lines, each (N, 2) world x, y [m].
+    `heights` (rows, cols): NaN where unknown. Result: height [m] and lines, each (N, 2) world x, y [m].
     """
     ground, extent = thinned(heights, frame, most=_CONTOUR_PIXELS)
     known = ground[np.isfinite(ground)]
@@ -53,19 +43,8 @@ def roses(
 ) -> Mapping[str, Any]:
     """Return energy per metre by heading at evenly spaced cells of a part of the map.
 
-    Parameters
-    ----------
-    lattice : CostLattice or StoredLattice
-        The cost map.
-    bounds : tuple of float
-        West, south, east, north of the part [m]; what lies outside the map is left out.
-    across : int
-        Most cells along a side.
-
-    Returns
-    -------
-    mapping
-        ``headings_deg`` (K), ``points`` (n, 2) [m] and ``energy_per_m`` (n, K) [J/m], None where blocked.
+    `bounds`: west, south, east, north of the part [m], what lies outside the map is left out. Result: ``headings_deg``
+    (K), ``points`` (n, 2) [m] and ``energy_per_m`` (n, K) [J/m], None where blocked.
     """
     west, south, east, north = bounds
     (top, left), (bottom, right) = (lattice.frame.rowcol(x, y) for x, y in ((west, north), (east, south)))
@@ -90,16 +69,8 @@ def roses(
 def lat_lon(frame: GridFrame) -> list[list[list[float]]] | None:
     """Return latitude and longitude of nine places of a map, between which a page can interpolate.
 
-    Parameters
-    ----------
-    frame : GridFrame
-        Of the map.
-
-    Returns
-    -------
-    list or None
-        (3, 3, 2): from north to south, from west to east, latitude and longitude [deg]. None where the CRS is unknown
-        or has no place on Earth.
+    Result: (3, 3, 2): from north to south, from west to east, latitude and longitude [deg]. None where the CRS is
+    unknown or has no place on Earth.
     """
     if frame.crs is None:
         return None

@@ -21,15 +21,7 @@ def new_axes() -> Axes:
 
 
 def style_map(axes: Axes, frame: GridFrame) -> None:
-    """Make axes a map: in metres of the map's CRS, to scale, over the map's bounds.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        To be styled.
-    frame : GridFrame
-        Of the map.
-    """
+    """Make axes a map: in metres of the map's CRS, to scale, over the map's bounds."""
     west, south, east, north = frame.bounds
     slender = max(frame.shape) > 12 * min(frame.shape)  # to scale, nothing would be seen of it
     axes.set_aspect("auto" if slender else "equal")
@@ -45,13 +37,7 @@ def style_map(axes: Axes, frame: GridFrame) -> None:
 
 
 def quiet(axes: Axes) -> None:
-    """Take away what distracts from what is drawn.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        To be styled.
-    """
+    """Take away what distracts from what is drawn."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):

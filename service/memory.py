@@ -9,13 +9,8 @@ import sys
 def give_back_freed_memory() -> bool:
     """Have what lies free in the heaps of this process given back to the system.
 
-    Returns
-    -------
-    bool
-        Whether anything was given back. Only glibc has such a call; other libraries give memory back by themselves.
+    Only glibc has such a call; other libraries give memory back by themselves.
 
-    Notes
-    -----
     glibc takes arrays below 32 MB from its heaps, where they lie between smaller blocks that stay. What is freed there
     is used again, but not given back: with cost maps that come and go the memory grows for hours. A mapping of its own
     for each array costs a question a tenth of its time, because every page of it is fetched anew.

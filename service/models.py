@@ -25,28 +25,7 @@ class _KnowsTurning(Protocol):
 
 
 def find_predictor(model: str | Path, *, models_dir: Path | None = None, hidden: Collection[str] = ()) -> Predictor:
-    """Return the predictor of this name.
-
-    Parameters
-    ----------
-    model : str or Path
-        ``physics``, ``default``, or a trained model: its id where `models_dir` is given, else its folder.
-    models_dir : Path, optional
-        Folder of the trained models. With it no other folder can be named, so that a request over HTTP cannot read
-        other files.
-    hidden : collection of str, optional
-        Ids of models that belong to others, which are not there for this caller.
-
-    Returns
-    -------
-    Predictor
-        Ready to be asked.
-
-    Raises
-    ------
-    ModelError
-        If there is no such model, or its files do not fit together.
-    """
+    """Return the predictor of this name."""
     if models_dir is None or model in MODEL_NAMES:
         return load_model(model)
     trained = sorted(p.name for p in models_dir.iterdir() if p.is_dir()) if models_dir.is_dir() else []
@@ -60,23 +39,7 @@ def find_predictor(model: str | Path, *, models_dir: Path | None = None, hidden:
 
 
 def load_model(spec: str | Path) -> Predictor:
-    """Return a shipped model, or the trained or calibrated model of a folder.
-
-    Parameters
-    ----------
-    spec : str or Path
-        ``physics``, ``default``, or a folder.
-
-    Returns
-    -------
-    Predictor
-        Ready to be asked.
-
-    Raises
-    ------
-    ModelError
-        If the files cannot be read or do not fit together, or if the model that was calibrated has changed since.
-    """
+    """Return a shipped model, or the trained or calibrated model of a folder."""
     if spec in MODEL_NAMES:
         return load_predictor(spec)
     from joulemap.model.energy.calibrated import CalibratedPredictor  # loads slowly
@@ -96,52 +59,20 @@ def load_model(spec: str | Path) -> Predictor:
 
 
 def model_name(folder: Path) -> str:
-    """Return the name of a calibrated model: that of its folder, or of the report's folder and its own.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the model.
-
-    Returns
-    -------
-    str
-        For example ``found/model``.
-    """
+    """Return the name of a calibrated model: that of its folder, or of the report's folder and its own."""
     own = folder.resolve()
     return f"{own.parent.name}/{own.name}" if own.name == CALIBRATED_FOLDER else own.name
 
 
 def planning_robot(predictor: Predictor, robot: Robot) -> Robot:
-    """Return the robot with the energy of turning that the model learned.
-
-    Parameters
-    ----------
-    predictor : Predictor
-        The model.
-    robot : Robot
-        As it was described.
-
-    Returns
-    -------
-    Robot
-        The same one where the model learned nothing about turning.
-    """
+    """Return the robot with the energy of turning that the model learned."""
     return predictor.robot_with_turning(robot) if isinstance(predictor, _KnowsTurning) else robot
 
 
 def start_folder(name: str | Path) -> Path | None:
     """Return the folder of the model that a training starts from.
 
-    Parameters
-    ----------
-    name : str or Path
-        "default" (the shipped network), "none", or a folder.
-
-    Returns
-    -------
-    Path or None
-        None for "none": training starts from random weights.
+    Result: None for "none": training starts from random weights.
     """
     if name == "none":
         return None

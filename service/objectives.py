@@ -98,22 +98,7 @@ Routes = tuple[Route, ...]
 def limited(planner: RoutePlanner | StoredPlanner, max_power_w: float | None) -> RoutePlanner | StoredPlanner:
     """Return the planner of the same map whose routes draw at most some power.
 
-    Parameters
-    ----------
-    planner : RoutePlanner or StoredPlanner
-        Of the cost map.
-    max_power_w : float or None
-        Most power at the robot's speed [W]; None returns this planner.
-
-    Returns
-    -------
-    RoutePlanner or StoredPlanner
-        As `within_power`.
-
-    Raises
-    ------
-    InputError
-        If it takes as much without moving, or the map is not in memory.
+    `max_power_w`: most power at the robot's speed [W], None returns this planner.
     """
     if max_power_w is None:
         return planner
@@ -133,28 +118,8 @@ def plan_by(
 ) -> Plan:
     """Return the best route by an objective, with the shortest one beside it.
 
-    Parameters
-    ----------
-    router : RoutePlanner or StoredPlanner
-        Of the cost map.
-    start, goal : tuple of float
-        World x, y [m].
-    objective : Objective
-        What the best route is.
-    battery : Battery, optional
-        For "arrival".
-    **options
-        As for `RoutePlanner.plan`. Alternatives and the bound are those of the expected energy.
-
-    Returns
-    -------
-    Plan
-        Its details have the objective under "objective", if it is another one than the expected energy.
-
-    Raises
-    ------
-    InputError
-        If the model does not know its uncertainty, the map is not in memory, or a battery is missing.
+    `start`, `goal`: world x, y [m]. Result: its details have the objective under "objective", if it is another one than
+    the expected energy.
     """
     if objective.name != MEAN:
         _check(router, objective, battery)
@@ -181,34 +146,7 @@ def best_routes(
 ) -> tuple[Routes, Weighed]:
     """Return the best routes by an objective that are driven one after another.
 
-    Parameters
-    ----------
-    planner : RoutePlanner or StoredPlanner
-        Of the cost map.
-    means : tuple of Route
-        Those of least expected energy, in the order of driving; the best ones have the same ends.
-    objective : Objective
-        What the best routes are, together.
-    battery : Battery, optional
-        For "arrival".
-    refine : bool, default True
-        Whether paths are improved to any angle.
-    neighbours : {32, 8, 16}
-        Moves per cell.
-    progress : callable, optional
-        Called with the share that is done, 0..1.
-
-    Returns
-    -------
-    routes : tuple of Route
-        Never worse by the objective than `means`.
-    weighed : Weighed
-        How good they are.
-
-    Raises
-    ------
-    InputError
-        If the model does not know its uncertainty, or a battery is missing.
+    Returns `routes`: never worse by the objective than `means`; `weighed`: how good they are.
     """
     _check(planner, objective, battery)
     assert isinstance(planner, RoutePlanner)

@@ -31,27 +31,7 @@ __all__ = ["VIEWS", "field_image", "lattice_image", "reach_image", "route_pictur
 
 
 def lattice_image(lattice: CostLattice, *, view: str = "mean", heading_deg: float | None = None) -> bytes:
-    """Draw a cost map.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        The cost map.
-    view : str, optional
-        "mean", "directionality" or "heading", as for `draw_costmap`.
-    heading_deg : float, optional
-        The heading of the view "heading", clockwise from north.
-
-    Returns
-    -------
-    bytes
-        A PNG.
-
-    Raises
-    ------
-    InputError
-        On another view, or a heading that is missing or not finite.
-    """
+    """Draw a cost map. `heading_deg`: the heading of the view "heading", clockwise from north."""
     figure, axes = _map_figure(lattice.frame, extra_in=1.5)
     drawn = draw_costmap(axes, lattice, view=view, heading_deg=heading_deg)
     bar = figure.colorbar(drawn.scale, ax=axes, shrink=0.86, pad=0.02, extend=drawn.extend)
@@ -85,20 +65,7 @@ _FIELD_TITLES = {
 
 
 def field_image(field: EnergyMap, *, within: float | None = None) -> bytes:
-    """Draw an energy field.
-
-    Parameters
-    ----------
-    field : EnergyMap
-        The field.
-    within : float, optional
-        Draw the rim of the corridor of routes that cost at most this share more than the best.
-
-    Returns
-    -------
-    bytes
-        A PNG.
-    """
+    """Draw an energy field."""
     figure, axes = _map_figure(field.frame, extra_in=1.5)
     west, south, east, north = field.frame.bounds
     drawn = axes.imshow(
@@ -119,17 +86,7 @@ def field_image(field: EnergyMap, *, within: float | None = None) -> bytes:
 def reach_image(lattice: CostLattice, reach: ReachMap) -> bytes:
     """Draw where a battery lasts to, over the terrain.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        The terrain, with what is blocked.
-    reach : ReachMap
-        On the same cells.
-
-    Returns
-    -------
-    bytes
-        A PNG: a filled outline for each charge, the largest charge below.
+    Result: a PNG: a filled outline for each charge, the largest charge below.
     """
     figure, axes = _map_figure(lattice.frame, extra_in=1.2)
     patches = draw_lattice_ground(axes, lattice)
@@ -160,27 +117,7 @@ def route_picture(
     names: tuple[str, str] = ("energy-optimal", "shortest"),
     alternatives: Sequence[Route] = (),
 ) -> bytes:
-    """Draw two paths between the same places on the terrain, and under it their heights and the energy they take.
-
-    Parameters
-    ----------
-    ground : Heightmap or CostLattice
-        The terrain. Of a cost lattice, what is blocked is drawn too, with the reason, and what is blocked in some
-        headings.
-    best, other : Route
-        The two paths.
-    title : str
-        Over the picture.
-    names : tuple of str, optional
-        What the two paths are called.
-    alternatives : sequence of Route, optional
-        Further paths, drawn thin on the terrain alone.
-
-    Returns
-    -------
-    bytes
-        A PNG.
-    """
+    """Draw two paths between the same places on the terrain, and under it their heights and the energy they take."""
     frame = ground.frame
     width, height = _map_inches(frame)
     figure = _figure(width + 1.2, height + 4.4)

@@ -20,43 +20,14 @@ Answer = TypeVar("Answer", "Plan", "RoundTrip", "Route")
 
 
 class Places:
-    """Reads the places of a question, and keeps what the user should know of them.
-
-    Parameters
-    ----------
-    frame : GridFrame
-        Of the map that the question is about.
-
-    Attributes
-    ----------
-    notes : list of str
-        One for each place that was read as latitude and longitude.
-    """
+    """Reads the places of a question, and keeps what the user should know of them."""
 
     def __init__(self, frame: GridFrame) -> None:
         self.frame = frame
         self.notes: list[str] = []
 
     def __call__(self, place: Any, name: str) -> tuple[float, float]:
-        """Return a place as `world_point` does.
-
-        Parameters
-        ----------
-        place : sequence of float or mapping
-            As `world_point` takes it.
-        name : str
-            What messages call it.
-
-        Returns
-        -------
-        tuple of float
-            World x, y [m].
-
-        Raises
-        ------
-        InputError, PointError
-            As `world_point`.
-        """
+        """Return a place as `world_point` does. Result: world x, y [m]."""
         found = world_point(self.frame, place, name=name)
         if found.note is not None:
             self.notes.append(found.note)
@@ -65,20 +36,8 @@ class Places:
     def path(self, points: Any) -> NDArray[np.float64]:
         """Return the points of a path in the coordinates of the map.
 
-        Parameters
-        ----------
-        points : sequence of places or ndarray, (n, 2 or 3)
-            All in the same form: x, y [m], latitude, longitude, or objects with `lat` and `lon`.
-
-        Returns
-        -------
-        ndarray of float64, (n, 2)
-            World x, y [m]. They are read as latitude and longitude if the first of them is.
-
-        Raises
-        ------
-        InputError, PointError
-            As `world_point`.
+        `points` (n, 2 or 3): all in the same form: x, y [m], latitude, longitude, or objects with `lat` and `lon`.
+        Result (n, 2): world x, y [m]. They are read as latitude and longitude if the first of them is.
         """
         try:
             pairs = points[:, :2] if isinstance(points, np.ndarray) else [point[:2] for point in points]
@@ -96,21 +55,8 @@ class Places:
     def areas(self, areas: Sequence[Sequence[Any]]) -> list[list[list[float]]]:
         """Return areas in the coordinates of the map, beyond which they may reach.
 
-        Parameters
-        ----------
-        areas : sequence of sequence of places
-            The corners of each, all in the same form.
-
-        Returns
-        -------
-        list of list of [x, y]
-            World coordinates [m]. Corners of two numbers are latitude, longitude if none of an area is on the map as x,
-            y, and one is as latitude, longitude.
-
-        Raises
-        ------
-        InputError, PointError
-            As `world_point`.
+        Result: world coordinates [m]. Corners of two numbers are latitude, longitude if none of an area is on the map
+        as x, y, and one is as latitude, longitude.
         """
         return [self._area(corners, f"area {k}") for k, corners in enumerate(areas)]
 
@@ -129,18 +75,7 @@ class Places:
         return plain
 
     def noted(self, answer: Answer) -> Answer:
-        """Return an answer with the notes.
-
-        Parameters
-        ----------
-        answer : Plan, RoundTrip or Route
-            From the planner.
-
-        Returns
-        -------
-        Plan, RoundTrip or Route
-            The same where there is nothing to note.
-        """
+        """Return an answer with the notes."""
         if not self.notes:
             return answer
         if hasattr(answer, "route"):

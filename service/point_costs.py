@@ -39,22 +39,7 @@ def costs_at(lattice: CostLattice, x: float, y: float) -> PointCosts:
     The energy is interpolated as for the price of a path, between up to four cells. The reason is that of the nearest
     of these cells that is blocked.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    x, y : float
-        World coordinates [m].
-
-    Returns
-    -------
-    PointCosts
-        Energy and reason by heading.
-
-    Raises
-    ------
-    PointError
-        If the place lies outside the map.
+    `x`, `y`: world coordinates [m].
     """
     row, col = lattice.frame.cell_of(x, y)
     headings = heading_bins(lattice.headings)

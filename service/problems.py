@@ -71,15 +71,7 @@ TABLE: dict[type[JoulemapError], Row] = {
 def row_of(error: type[JoulemapError]) -> Row | None:
     """Return the row of an error class: that of its nearest ancestor in the table.
 
-    Parameters
-    ----------
-    error : type
-        Class of the error tree.
-
-    Returns
-    -------
-    Row or None
-        None where no ancestor is in the table.
+    Result: None where no ancestor is in the table.
     """
     return next((TABLE[cls] for cls in error.__mro__ if cls in TABLE), None)
 
@@ -87,36 +79,14 @@ def row_of(error: type[JoulemapError]) -> Row | None:
 def exit_code(error: BaseException) -> int:
     """Return the exit code of a command that ended with an error.
 
-    Parameters
-    ----------
-    error : BaseException
-        Any.
-
-    Returns
-    -------
-    int
-        The table's code; 1 for anything outside the error tree, which is our bug.
+    Result: the table's code; 1 for anything outside the error tree, which is our bug.
     """
     row = row_of(type(error)) if isinstance(error, JoulemapError) else None
     return row.exit_code if row is not None else INTERNAL_EXIT_CODE
 
 
 def jsonable(value: Any, *, depth: int = 6) -> Any:
-    """Return a value as plain JSON.
-
-    Parameters
-    ----------
-    value : object
-        Anything. Numbers that are not finite become text, NumPy values Python values; long texts and lists are cut;
-        everything else becomes its ``repr``.
-    depth : int, optional
-        How many levels of nesting are kept.
-
-    Returns
-    -------
-    object
-        Of the types that ``json.dumps`` takes.
-    """
+    """Return a value as plain JSON."""
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or isinstance(value, (bool, int)):
@@ -139,28 +109,7 @@ def jsonable(value: Any, *, depth: int = 6) -> Any:
 def problem(
     status: int, code: str, title: str, detail: str, request_id: str | None, context: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Return an RFC 9457 problem body, with the extensions code, request_id and context.
-
-    Parameters
-    ----------
-    status : int
-        HTTP status.
-    code : str
-        Of the error class; the type is made from it.
-    title : str
-        The same for all errors of a branch.
-    detail : str
-        What is wrong this time, in words.
-    request_id : str or None
-        By which the log can be searched.
-    context : mapping, optional
-        The offending value and the limit.
-
-    Returns
-    -------
-    dict
-        JSON-able.
-    """
+    """Return an RFC 9457 problem body, with the extensions code, request_id and context."""
     return {
         "type": f"urn:joulemap:problem:{code}",
         "title": title,
@@ -173,21 +122,7 @@ def problem(
 
 
 def problem_of(error: BaseException, request_id: str | None = None) -> dict[str, Any]:
-    """Return the problem body of an exception.
-
-    Parameters
-    ----------
-    error : BaseException
-        Of the error tree, a full disk, or a database that does not answer. Anything else is our bug: the body then
-        gives nothing but the request id.
-    request_id : str, optional
-        By which the log can be searched.
-
-    Returns
-    -------
-    dict
-        JSON-able.
-    """
+    """Return the problem body of an exception."""
     error = from_outside(error) or error
     row = row_of(type(error)) if isinstance(error, JoulemapError) else None
     if row is None or not isinstance(error, JoulemapError):
@@ -197,28 +132,14 @@ def problem_of(error: BaseException, request_id: str | None = None) -> dict[str,
 
 
 def no_database() -> BusyError:
-    """Return the error of a request for which the database does not answer.
-
-    Returns
-    -------
-    BusyError
-        To be raised.
-    """
+    """Return the error of a request for which the database does not answer."""
     return BusyError("the database does not answer", retry_after_s=_RETRY_S)
 
 
 def from_outside(error: BaseException) -> JoulemapError | None:
     """Return what is neither the caller's fault nor ours: a full disk, a database that does not answer.
 
-    Parameters
-    ----------
-    error : BaseException
-        Any.
-
-    Returns
-    -------
-    JoulemapError or None
-        The same in words; None for another error.
+    Result: the same in words; None for another error.
     """
     from sqlalchemy.exc import OperationalError  # loads slowly, and commands that answer have no database
     from sqlalchemy.exc import TimeoutError as SQLAlchemyTimeout

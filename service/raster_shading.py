@@ -21,21 +21,9 @@ MAX_PIXELS = 1400
 def thinned(values: Image, frame: GridFrame, *, most: int = 0) -> tuple[Image, Extent]:
     """Return a raster of at most so many pixels a side.
 
-    Parameters
-    ----------
-    values : ndarray, (rows, cols)
-        NaN where unknown.
-    frame : GridFrame
-        Where the cells lie.
-    most : int, optional
-        Longest side; 0 is `MAX_PIXELS`.
-
-    Returns
-    -------
-    values : ndarray, (rows, cols)
-        Means over square blocks of cells, NaN where none of them is known.
-    extent : tuple of float
-        West, east, south, north [m] of what is left: cells that fill no block are not drawn.
+    `values` (rows, cols): NaN where unknown. Returns `values` (rows, cols): means over square blocks of cells, NaN
+    where none of them is known; `extent`: west, east, south, north [m] of what is left: cells that fill no block are
+    not drawn.
     """
     step = thinning(values.shape, most=most)
     rows, cols = (max(n // step, 1) for n in values.shape)
@@ -47,17 +35,8 @@ def thinned(values: Image, frame: GridFrame, *, most: int = 0) -> tuple[Image, E
 def block_means(values: Image, step: int) -> Image:
     """Return the means over square blocks of cells.
 
-    Parameters
-    ----------
-    values : ndarray, (rows, cols)
-        NaN where unknown.
-    step : int
-        Cells along a side of a block. Cells that fill no block are left out.
-
-    Returns
-    -------
-    ndarray, (rows // step, cols // step)
-        NaN where no cell of a block is known.
+    `values` (rows, cols): NaN where unknown. Result (rows // step, cols // step): NaN where no cell of a block is
+    known.
     """
     if step == 1:
         return values
@@ -70,37 +49,15 @@ def block_means(values: Image, step: int) -> Image:
 
 
 def thinning(shape: tuple[int, ...], *, most: int = 0) -> int:
-    """Return how many cells a pixel has on a side after `thinned`.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Of the raster.
-    most : int, optional
-        As for `thinned`.
-
-    Returns
-    -------
-    int
-        At least 1.
-    """
+    """Return how many cells a pixel has on a side after `thinned`."""
     return math.ceil(max(shape) / (most or MAX_PIXELS))
 
 
 def steepness(heights: Image, extent: Extent) -> float:
     """Return the slope that `hillshade` shades most: most ground is less steep.
 
-    Parameters
-    ----------
-    heights : ndarray, (rows, cols) [m]
-        NaN where unknown.
-    extent : tuple of float
-        West, east, south, north [m].
-
-    Returns
-    -------
-    float
-        95 % quantile of the slopes [m/m]; 0 where none is known.
+    `heights` (rows, cols): NaN where unknown; `extent`: west, east, south, north [m]. Result: 95 % quantile of the
+    slopes [m/m]; 0 where none is known.
     """
     if min(heights.shape) < 2:
         return 0.0
@@ -117,19 +74,7 @@ def _gradient(heights: Image, extent: Extent) -> tuple[Image, Image]:
 def hillshade(heights: Image, extent: Extent, *, steep: float | None = None) -> Image:
     """Return the brightness of ground lit from the north-west, exaggerated so that gentle slopes show.
 
-    Parameters
-    ----------
-    heights : ndarray, (rows, cols) [m]
-        NaN where unknown.
-    extent : tuple of float
-        West, east, south, north [m].
-    steep : float, optional
-        `steepness` of the whole, where this is a part of it.
-
-    Returns
-    -------
-    ndarray, (rows, cols)
-        0.45 to 1.2; 1 where unknown.
+    `heights` (rows, cols): NaN where unknown; `extent`: west, east, south, north [m]. The result is (rows, cols).
     """
     if min(heights.shape) < 2:
         return np.ones(heights.shape)
@@ -145,19 +90,8 @@ def hillshade(heights: Image, extent: Extent, *, steep: float | None = None) -> 
 def centres(values: Image, extent: Extent) -> tuple[Image, Image]:
     """Return the coordinates of cell centres.
 
-    Parameters
-    ----------
-    values : ndarray, (rows, cols)
-        Any raster.
-    extent : tuple of float
-        West, east, south, north [m].
-
-    Returns
-    -------
-    x : ndarray, (cols,) [m]
-        From west to east.
-    y : ndarray, (rows,) [m]
-        From north to south.
+    `values` (rows, cols): any raster; `extent`: west, east, south, north [m]. Returns `x` (cols,): from west to east;
+    `y` (rows,): from north to south.
     """
     west, east, south, north = extent
     rows, cols = values.shape

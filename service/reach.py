@@ -34,38 +34,8 @@ def reach_map(
 ) -> ReachMap:
     """Return where a battery lasts to.
 
-    Parameters
-    ----------
-    planner : RoutePlanner or StoredPlanner
-        Of the cost map.
-    start_xy : tuple of float
-        World x, y [m].
-    battery : Battery
-        Its energy, charge and reserve. Its voltage is not looked at: a route that takes more power than it can give is
-        refused by the verdict of that route.
-    charges : sequence of float, optional
-        States of charge at the start to answer for, 0..1; the battery's own by default.
-    confidence : float, optional
-        With what probability the battery is to last, see `CONFIDENCE`; the expected energy counts by default.
-    round_trip : bool, default False
-        Whether it must come back to the start, by the best way back.
-    snap : bool, default False
-        Whether a start on blocked ground is moved to the nearest free place.
-
-    Returns
-    -------
-    ReachMap
-        A margin for each charge, in the order given.
-
-    Raises
-    ------
-    InputError
-        If there are too many charges, the confidence is out of range or the model does not know its uncertainty, or
-        the map is planned on from disk.
-    PointError
-        If the start is not finite or lies outside the map.
-    BlockedError
-        If the start is on blocked ground, and `snap` is off or finds nothing.
+    `start_xy`: world x, y [m]. Result: a margin for each charge, in the order given. Raises BlockedError if the start
+    is on blocked ground, and `snap` is off or finds nothing.
     """
     levels = (battery.charge,) if charges is None else tuple(float(charge) for charge in charges)
     if not 1 <= len(levels) <= MOST_CHARGES:

@@ -21,21 +21,7 @@ def draw_routes(
     names: tuple[str, str] = ("energy-optimal", "shortest"),
     alternatives: Sequence[Route] = (),
 ) -> None:
-    """Draw routes between the same places, with start and goal; their labels give energy and length.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where to draw.
-    best : Route
-        Drawn boldest.
-    other : Route, optional
-        Drawn under it.
-    names : tuple of str, optional
-        What the two are called.
-    alternatives : sequence of Route, optional
-        Drawn thin.
-    """
+    """Draw routes between the same places, with start and goal; their labels give energy and length."""
     for route, colour, name, line in ((best, OPTIMAL, names[0], 2.8), (other, SHORTEST, names[1], 2.2)):
         if route is not None:
             halo = [Stroke(linewidth=line + 2.2, foreground="white"), Normal()]
@@ -60,18 +46,7 @@ def draw_routes(
 def draw_profile(axes: Axes, route: Route, *, quantity: str, colour: str = OPTIMAL, label: str | None = None) -> None:
     """Draw height or energy over the distance along a route.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where to draw.
-    route : Route
-        The route.
-    quantity : str
-        "elevation" [m] or "energy" [kJ] spent since the start.
-    colour : str, optional
-        Of the line.
-    label : str, optional
-        For a legend.
+    `quantity`: "elevation" [m] or "energy" [kJ] spent since the start.
     """
     profile = route.profile
     distance = np.append(0.0, profile.distance_m)

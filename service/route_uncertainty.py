@@ -17,19 +17,9 @@ from joulemap.planner.verdict.energy_distribution import QUANTILES, EnergyOdds
 def odds_along(routes: Sequence[Route]) -> EnergyOdds | None:
     """Return the distribution of the energy along routes that are driven one after another.
 
-    Parameters
-    ----------
-    routes : sequence of Route
-        In the order of driving, priced on one lattice.
+    Result: of the energy from the start to the end of each of the n pieces of all profiles; None where the model does
+    not know its uncertainty.
 
-    Returns
-    -------
-    EnergyOdds or None
-        Of the energy from the start to the end of each of the n pieces of all profiles; None where the model does not
-        know its uncertainty.
-
-    Notes
-    -----
     The error that a whole run has in common is fully correlated over all pieces. The rest is fully correlated within a
     metre, and beyond that over the model's correlation length (see `Spread.route_std`).
     """
@@ -55,18 +45,8 @@ def odds_along(routes: Sequence[Route]) -> EnergyOdds | None:
 def odds_of_energies(lattice: CostLattice, energy_j: ArrayLike) -> EnergyOdds | None:
     """Return the distribution of the energy of routes of which only the energy is known, such as those of a field.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        That they were priced with.
-    energy_j : array_like, (n,)
-        Expected energies [J].
-
-    Returns
-    -------
-    EnergyOdds or None
-        As if all of it were driven on ground of the lattice's mean energy and standard deviation per metre; None where
-        the lattice's model does not know its uncertainty.
+    `energy_j` (n,): expected energies [J]. Result: as if all of it were driven on ground of the lattice's mean energy
+    and standard deviation per metre; None where the lattice's model does not know its uncertainty.
     """
     given = lattice.provenance.get("model", {}).get("spread")
     per_metre, std = lattice.mean_per_m
@@ -82,16 +62,8 @@ def odds_of_energies(lattice: CostLattice, energy_j: ArrayLike) -> EnergyOdds | 
 def quantiles_of_route(*routes: Route) -> dict[str, float | None]:
     """Return the distribution of a route's energy as answers have it.
 
-    Parameters
-    ----------
-    *routes : Route
-        Priced on a lattice; several are driven one after another.
-
-    Returns
-    -------
-    dict
-        `energy_std_j`, `energy_p05_j`, `energy_p50_j` and `energy_p95_j` [J], all None where the model does not know
-        its uncertainty.
+    Result: `energy_std_j`, `energy_p05_j`, `energy_p50_j` and `energy_p95_j` [J], all None where the model does not
+    know its uncertainty.
     """
     names = [f"energy_p{100 * share:02.0f}_j" for share in QUANTILES]
     odds = odds_along(routes)

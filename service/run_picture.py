@@ -16,22 +16,7 @@ _NAME_LETTERS = 60
 
 
 def run_picture(name: str, track: Sequence[Sequence[float | None]], *, charge: bool) -> bytes:
-    """Draw a run.
-
-    Parameters
-    ----------
-    name : str
-        Of the run.
-    track : sequence of sequence of float
-        x, y [m], what is drawn [W or A], and the height [m]; None where it is not known.
-    charge : bool
-        Whether what is drawn is a current.
-
-    Returns
-    -------
-    bytes
-        A PNG.
-    """
+    """Draw a run. `track`: x, y [m], what is drawn [W or A], and the height [m], None where it is not known."""
     x, y, drawn, z = (np.array(values, dtype=np.float64) for values in track)
     drawn = np.nan_to_num(drawn)
     unit = "current [A]" if charge else "power [W]"

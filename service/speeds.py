@@ -95,24 +95,7 @@ class Speeds:
 def known_speeds(predictor: Predictor, robot: Robot) -> tuple[float, float, str]:
     """Return the speeds that a model learned from.
 
-    Parameters
-    ----------
-    predictor : Predictor
-        The model.
-    robot : Robot
-        Whose idle power over its weight must be known at these speeds too.
-
-    Returns
-    -------
-    low, high : float
-        Slowest and fastest [m/s].
-    source : str
-        Where they were driven, in words.
-
-    Raises
-    ------
-    InputError
-        If the model does not know what speed costs, or knows one speed only.
+    Returns `low`, `high`: slowest and fastest [m/s]; `source`: where they were driven, in words.
     """
     low, high, source = 0.0, math.inf, ""
     base = predictor.base if isinstance(predictor, CalibratedPredictor) else predictor
@@ -149,30 +132,6 @@ def known_speeds(predictor: Predictor, robot: Robot) -> tuple[float, float, str]
 def speeds_along(route: Route, lattice: CostLattice, ground: Ground, predictor: Predictor) -> Speeds:
     """Return what a route costs at the speeds that a model knows.
 
-    Parameters
-    ----------
-    route : Route
-        Of the cost map; it stays the same at every speed.
-    lattice : CostLattice
-        The cost map, for its robot.
-    ground : Ground
-        The heightmap that the cost map was made of.
-    predictor : Predictor
-        Its model.
-
-    Returns
-    -------
-    Speeds
-        Never outside the speeds that the model learned from.
-
-    Raises
-    ------
-    InputError
-        If the heightmap or the model is another one, the route has no length, or the model does not know what speed
-        costs.
-
-    Notes
-    -----
     E(v) = sum over the metres of the route of price(traction(v), idle / v), and the turns: what a cost map for a robot
     of this speed would say, but for its interpolation between cells.
     """

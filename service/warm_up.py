@@ -25,23 +25,6 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
 
     Runs everything once on a tiny map: lattice, every planner with and without turning, verdicts, a search on disk, a
     measured run. A kernel that is in no cache is compiled.
-
-    Parameters
-    ----------
-    models : sequence of str, optional
-        Names of models to load.
-    models_dir : Path, optional
-        Folder of trained models, see `find_predictor`.
-
-    Returns
-    -------
-    float
-        Seconds that it took.
-
-    Raises
-    ------
-    ModelError
-        If there is no such model, or its files do not fit together.
     """
     from joulemap.model.runs.cutting import cut_segments
     from joulemap.model.runs.reader import run_of
@@ -72,20 +55,7 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
 
 
 def warm_up_models(models: Sequence[str], *, models_dir: Path | None = None) -> None:
-    """Load the named models, and the kernels with which cost maps are made.
-
-    Parameters
-    ----------
-    models : sequence of str
-        Names of models to load.
-    models_dir : Path, optional
-        Folder of trained models, see `find_predictor`.
-
-    Raises
-    ------
-    ModelError
-        If there is no such model, or its files do not fit together.
-    """
+    """Load the named models, and the kernels with which cost maps are made."""
     for model in models:
         for spacing_m in (1.0, 3.0):  # a network answers these by dense passes and by single squares
             lattice = make_cost_lattice(_small_map(), Robot(), model=model, spacing_m=spacing_m, models_dir=models_dir)

@@ -28,116 +28,40 @@ __all__ = [
 
 
 def runs_words(count: int) -> str:
-    """Say a number of runs.
-
-    Parameters
-    ----------
-    count : int
-        How many.
-
-    Returns
-    -------
-    str
-        "1 run", "2 runs".
-    """
+    """Say a number of runs."""
     return "1 run" if count == 1 else f"{count} runs"
 
 
 def percent(share: float, digits: int = 1) -> str:
-    """Return a share in percent.
-
-    Parameters
-    ----------
-    share : float
-        0..1.
-    digits : int
-        After the decimal point.
-
-    Returns
-    -------
-    str
-        With the sign of percent.
-    """
+    """Return a share in percent."""
     return f"{100.0 * share:.{digits}f} %"
 
 
 def any_of(names: Sequence[str]) -> str:
-    """Join the names of things of which one is meant.
-
-    Parameters
-    ----------
-    names : sequence of str
-        At least one.
-
-    Returns
-    -------
-    str
-        "a", "a or b", "a, b or c".
-    """
+    """Join the names of things of which one is meant."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def capital(words: str) -> str:
-    """Return words as the beginning of a sentence.
-
-    Parameters
-    ----------
-    words : str
-        May be empty.
-
-    Returns
-    -------
-    str
-        With a first letter in upper case.
-    """
+    """Return words as the beginning of a sentence. `words`: may be empty. Result: with a first letter in upper case."""
     return words[:1].upper() + words[1:]
 
 
 def p_words(p_value: float) -> str:
     """Return a p-value with its relation, to be written after "p".
 
-    Parameters
-    ----------
-    p_value : float
-        Of a significance test.
-
-    Returns
-    -------
-    str
-        Such as "= 0.02", or "< 1e-9": smaller ones rest on the far tail of a distribution, which no data can check.
+    Result: such as "= 0.02", or "< 1e-9": smaller ones rest on the far tail of a distribution, which no data can check.
     """
     return "< 1e-9" if p_value < 1e-9 else f"= {p_value:.2g}"
 
 
 def turning_words(trained: Mapping[str, Any]) -> str:
-    """Say what turning costs by a model that was trained.
-
-    Parameters
-    ----------
-    trained : mapping
-        Facts of the training.
-
-    Returns
-    -------
-    str
-        Part of a sentence.
-    """
+    """Say what turning costs by a model that was trained."""
     return f"{number_words(trained['turn_j_per_rad'])} J/rad more than straight driving, used in plans too"
 
 
 def route_words(route: Mapping[str, Any]) -> str:
-    """Say a route's length, energy and time.
-
-    Parameters
-    ----------
-    route : mapping
-        `energy_j`, `length_m`, and `duration_s` where it is known.
-
-    Returns
-    -------
-    str
-        Such as "146.2 m, 5.31 kJ (1.48 Wh), 4 min 52 s".
-    """
+    """Say a route's length, energy and time. Result: such as "146.2 m, 5.31 kJ (1.48 Wh), 4 min 52 s"."""
     words = f"{route['length_m']:.1f} m, {energy_words(route['energy_j'])}"
     return f"{words}, {duration_words(route['duration_s'])}" if route.get("duration_s") is not None else words
 
@@ -145,15 +69,7 @@ def route_words(route: Mapping[str, Any]) -> str:
 def saving_words(route: Mapping[str, Any], shortest: Mapping[str, Any]) -> str:
     """Say what the energy-optimal route saves against the shortest, and by how much it is longer.
 
-    Parameters
-    ----------
-    route, shortest : mapping
-        `energy_j` and `length_m` of both.
-
-    Returns
-    -------
-    str
-        One sentence without a full stop.
+    Result: one sentence without a full stop.
     """
     saved = shortest["energy_j"] - route["energy_j"]
     longer = route["length_m"] - shortest["length_m"]
@@ -169,15 +85,7 @@ def saving_words(route: Mapping[str, Any], shortest: Mapping[str, Any]) -> str:
 def objective_rows(weighed: Mapping[str, Any] | None) -> dict[str, str]:
     """Return how a route does by what it was chosen by, as a row of an answer.
 
-    Parameters
-    ----------
-    weighed : mapping or None
-        The fields of `Weighed`; None for the least expected energy.
-
-    Returns
-    -------
-    dict
-        None or one row.
+    `weighed`: the fields of `Weighed`, None for the least expected energy. Result: None or one row.
     """
     if weighed is None:
         return {}
@@ -190,16 +98,5 @@ def objective_rows(weighed: Mapping[str, Any] | None) -> dict[str, str]:
 
 
 def verdict_words(verdict: Verdict) -> str:
-    """Say a verdict as a robot operator would.
-
-    Parameters
-    ----------
-    verdict : Verdict
-        Energies in J.
-
-    Returns
-    -------
-    str
-        One sentence without a full stop.
-    """
+    """Say a verdict as a robot operator would. Result: one sentence without a full stop."""
     return str(verdict)

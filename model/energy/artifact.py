@@ -72,17 +72,7 @@ def save_artifact(folder: str | Path, artifact: Artifact) -> str:
 
     config.json is written last, so that it marks a complete model.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Created where needed.
-    artifact : Artifact
-        What to write.
-
-    Returns
-    -------
-    str
-        The version: the first 16 hex digits of the SHA-256 of the weights file.
+    Result: the version: the first 16 hex digits of the SHA-256 of the weights file.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -108,23 +98,7 @@ def save_artifact(folder: str | Path, artifact: Artifact) -> str:
 
 
 def read_artifact(folder: str | Path) -> Artifact:
-    """Read a model's folder.
-
-    Parameters
-    ----------
-    folder : str or Path
-        As `save_artifact` wrote it.
-
-    Returns
-    -------
-    Artifact
-        With the network in evaluation mode.
-
-    Raises
-    ------
-    ModelError
-        If a file is missing or broken, or the two files do not belong together.
-    """
+    """Read a model's folder."""
     found = _read(Path(folder))
     try:
         net: Network = find_architecture(found.architecture).read(found.network, found.weights, size=found.size)
@@ -134,25 +108,7 @@ def read_artifact(folder: str | Path) -> Artifact:
 
 
 def load_artifact(folder: str | Path, *, name: str | None = None) -> Learned:
-    """Return the predictor of a model's folder.
-
-    Parameters
-    ----------
-    folder : str or Path
-        As `save_artifact` wrote it.
-    name : str, optional
-        What the model is called; the folder's name by default.
-
-    Returns
-    -------
-    Learned
-        The predictor.
-
-    Raises
-    ------
-    ModelError
-        As `read_artifact`.
-    """
+    """Return the predictor of a model's folder."""
     folder = Path(folder)
     found = _read(folder)
     try:
@@ -171,22 +127,7 @@ def load_artifact(folder: str | Path, *, name: str | None = None) -> Learned:
 
 
 def predictor_of(artifact: Artifact, provenance: Mapping[str, Any], *, name: str) -> Learned:
-    """Make a predictor of an artifact.
-
-    Parameters
-    ----------
-    artifact : Artifact
-        A trained network.
-    provenance : mapping
-        What the predictor says of itself, JSON-able.
-    name : str
-        What the model is called.
-
-    Returns
-    -------
-    Learned
-        The predictor.
-    """
+    """Make a predictor of an artifact."""
     return find_architecture(artifact.architecture).predictor(
         artifact.net,
         artifact.domain,

@@ -78,50 +78,17 @@ class Correction(Protocol):
         """Titles of the effects that no plan contains, because only a log records what they depend on."""
 
     def added_energy(self, rows: Features, *, planned: bool) -> FloatArray:
-        """Return the energy that is added to rows.
-
-        Parameters
-        ----------
-        rows : Features
-            Of n rows.
-        planned : bool
-            By what is known before a drive only.
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Energy [J], or charge [A s].
-        """
+        """Return the energy that is added to rows. Result (n,): energy [J], or charge [A s]."""
 
     def beyond(self, rows: Features) -> dict[str, float]:
         """Return which quantities of some rows are outside the ranges of the runs.
 
-        Parameters
-        ----------
-        rows : Features
-            Of n rows.
-
-        Returns
-        -------
-        dict of str to float
-            Share of the rows, by quantity; only shares above 0.
+        Result: share of the rows, by quantity; only shares above 0.
         """
 
 
 class CalibratedPredictor(Predictor):
-    """A base model with a correction, used like any other model.
-
-    Parameters
-    ----------
-    base : Predictor
-        The model that was calibrated.
-    correction : Correction
-        What is added to it.
-    name : str
-        Of the calibrated model.
-    version : str
-        Of its file.
-    """
+    """A base model with a correction, used like any other model."""
 
     def __init__(self, base: Predictor, correction: Correction, *, name: str, version: str) -> None:
         self.base, self.correction, self.version, self._name = base, correction, version, name
@@ -183,18 +150,7 @@ class CalibratedPredictor(Predictor):
         return rows.take(np.isfinite(rows.grade))
 
     def robot_with_turning(self, robot: Robot) -> Robot:
-        """Return the robot with the cost of turning that was found.
-
-        Parameters
-        ----------
-        robot : Robot
-            As declared.
-
-        Returns
-        -------
-        Robot
-            For plans.
-        """
+        """Return the robot with the cost of turning that was found."""
         learned = getattr(self.base, "robot_with_turning", None)  # of a network, which a calibration adds to
         known = robot if learned is None else learned(robot)
         return replace(known, turn_j_per_rad=max(known.turn_j_per_rad + self.correction.turn_j_per_rad, 0.0))
@@ -202,20 +158,8 @@ class CalibratedPredictor(Predictor):
     def predict_segments(self, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
         """Predict measured segments from everything that their log says.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            On which they were driven.
-        robot : Robot
-            That drove.
-        segments : Segments
-            Measured.
-
-        Returns
-        -------
-        Prediction
-            Energy [J], or charge [A s] of segments of charge; NaN where the map is unknown. A model of charge gives
-            joules as ampere seconds times the nominal voltage.
+        Result: energy [J], or charge [A s] of segments of charge; NaN where the map is unknown. A model of charge gives
+        joules as ampere seconds times the nominal voltage.
         """
         volts = robot.nominal_voltage_v if self.correction.charge and not segments.charge else 1.0
         segments = replace(segments, charge=segments.charge or self.correction.charge)

@@ -57,23 +57,7 @@ class Domain:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Domain:
-        """Make a domain of what `as_dict` wrote.
-
-        Parameters
-        ----------
-        values : dict
-            Ranges by name.
-
-        Returns
-        -------
-        Domain
-            The domain.
-
-        Raises
-        ------
-        ModelError
-            If a range is missing or is none.
-        """
+        """Make a domain of what `as_dict` wrote."""
         try:
             robot = {str(k): (float(v[0]), float(v[1])) for k, v in values["robot"].items()}
             low, high = values["resolution_m"]
@@ -92,15 +76,7 @@ class Domain:
     def joined(self, other: Domain) -> Domain:
         """Return the ranges that cover both: what a fine-tuned model knows.
 
-        Parameters
-        ----------
-        other : Domain
-            Of the runs that it was fine-tuned on.
-
-        Returns
-        -------
-        Domain
-            With the `turned_rad` and `driven` of the other one: costs of driving are fitted to its runs alone.
+        Result: with the `turned_rad` and `driven` of the other one: costs of driving are fitted to its runs alone.
         """
         robot = dict(self.robot)
         for key, (low, high) in other.robot.items():
@@ -115,20 +91,7 @@ class Domain:
         return Domain(robot, resolution, steepest, payload, other.turned_rad, dict(other.driven))
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """Return one sentence for every value outside the ranges, with the value and the limits.
-
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-
-        Returns
-        -------
-        list of str
-            Empty where everything is inside.
-        """
+        """Return one sentence for every value outside the ranges, with the value and the limits."""
         found = []
         values = {key: getattr(robot, key) for key in ROBOT_KEYS}
         values["hotel_over_weight"] = robot.hotel_per_m / robot.weight_n
@@ -166,18 +129,6 @@ def steep_share(heightmap: Heightmap, limit_deg: float) -> float:
     """Return the share of the known ground that is steeper than a limit.
 
     Slopes are central differences over a metre (or over the cell, where that is longer).
-
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    limit_deg : float
-        The limit [degrees].
-
-    Returns
-    -------
-    float
-        0 to 1; 0 where nothing is known.
     """
     heights = heightmap.heights
     half = max(1, round(0.5 / heightmap.resolution_m))

@@ -58,23 +58,7 @@ class DriveCosts:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> DriveCosts:
-        """Make costs of what `as_dict` wrote.
-
-        Parameters
-        ----------
-        values : mapping
-            The numbers by name.
-
-        Returns
-        -------
-        DriveCosts
-            The costs.
-
-        Raises
-        ------
-        ModelError
-            If the values are no costs, or those of a version in which turning could cost less at speed.
-        """
+        """Make costs of what `as_dict` wrote."""
         if values.get(_NO_LONGER[0]):
             raise ModelError(
                 "turning costs less at speed in this model, which this version of joulemap does not know: train it "
@@ -86,18 +70,7 @@ class DriveCosts:
             raise ModelError(f"the model has no valid costs of driving: {error}") from error
 
     def scaled(self, factor: float) -> DriveCosts:
-        """Return a multiple of the costs.
-
-        Parameters
-        ----------
-        factor : float
-            Of each.
-
-        Returns
-        -------
-        DriveCosts
-            Of the same robot.
-        """
+        """Return a multiple of the costs."""
         return replace(
             self,
             turn_j_per_rad=round(factor * self.turn_j_per_rad, 3),
@@ -106,34 +79,13 @@ class DriveCosts:
         )
 
     def planned_turn_j_per_rad(self, robot: Robot) -> float:
-        """Return the energy of turning that a plan counts.
-
-        Parameters
-        ----------
-        robot : Robot
-            Which turns.
-
-        Returns
-        -------
-        float
-            Energy [J/rad].
-        """
+        """Return the energy of turning that a plan counts. Result: energy [J/rad]."""
         return self._scale(robot) * self.turn_j_per_rad
 
     def energy_j(self, robot: Robot, segments: Segments) -> FloatArray:
         """Return what measured segments cost beyond going straight ahead at the declared speed.
 
-        Parameters
-        ----------
-        robot : Robot
-            That drove.
-        segments : Segments
-            Measured.
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Energy [J].
+        Result (n,): energy [J].
         """
         scale = self._scale(robot)
         energy = scale * self.turn_j_per_rad * segments.turned_abs_rad
@@ -151,16 +103,6 @@ class DriveCosts:
 def slower_s(robot: Robot, segments: Segments) -> FloatArray:
     """Return how much longer segments took than at the declared speed, short halts left out.
 
-    Parameters
-    ----------
-    robot : Robot
-        That drove.
-    segments : Segments
-        Measured.
-
-    Returns
-    -------
-    ndarray of float64, (n,)
-        Time [s]; negative where the robot was faster.
+    Result (n,): time [s]; negative where the robot was faster.
     """
     return np.asarray(segments.duration_s - segments.standing_s - segments.driven_m / robot.speed_mps)

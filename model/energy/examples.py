@@ -92,18 +92,7 @@ class Examples:
         return len(self.inputs)
 
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Examples:
-        """Return some of the segments.
-
-        Parameters
-        ----------
-        which : ndarray of bool or int64
-            A mask or indices.
-
-        Returns
-        -------
-        Examples
-            In the order of `which`.
-        """
+        """Return some of the segments."""
         return Examples(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @property
@@ -117,18 +106,7 @@ class Examples:
         return digest.hexdigest()[:16]
 
     def domain(self, *, max_slope_deg: float | None = None) -> Domain:
-        """Return the ranges that these examples cover.
-
-        Parameters
-        ----------
-        max_slope_deg : float, optional
-            Steepest ground [degrees]; from the segments' grades by default.
-
-        Returns
-        -------
-        Domain
-            The ranges.
-        """
+        """Return the ranges that these examples cover."""
         low, high = self.features.min(axis=0).astype(float), self.features.max(axis=0).astype(float)
         robot: dict[str, tuple[float, float]] = {}
         for k, key in enumerate(FEATURES[:-2]):
@@ -161,43 +139,10 @@ def cut_examples(
 
     Segments whose ground the heightmap does not know are left out: compare `len`.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        As its file declares it.
-    x, y : array_like, (n,)
-        Centres of the segments [m].
-    heading_rad : array_like, (n,)
-        Headings [rad].
-    energy_j : array_like, (n,)
-        Measured energy [J].
-    run : array_like, (n,), optional
-        The run of each segment.
-    payload_kg : array_like, (n,), optional
-        Load on top of the robot's mass [kg].
-    architecture : str, optional
-        What the examples are for, one of `ARCHITECTURES`.
-    size : int, optional
-        Rows and columns of an input, where the architecture leaves the choice.
-    turned_rad : array_like, (n,), optional
-        Angle [rad] by which the world, ground and motion, is turned clockwise: the same energy, seen from another
-        direction. For architectures whose inputs are not cut along the heading.
-    driven_m : array_like, (n,), optional
-        Length of the track [m].
-    beside_j : array_like, (n,), optional
-        Energy that is known beside the network [J].
-
-    Returns
-    -------
-    Examples
-        Of the segments on known ground, in order.
-
-    Raises
-    ------
-    ModelError
-        If the architecture is unknown.
+    `x`, `y` (n,): centres of the segments [m]; `heading_rad` (n,); `energy_j` (n,); `run` (n,); `payload_kg` (n,): load
+    on top of the robot's mass [kg]; `turned_rad` (n,): angle [rad] by which the world, ground and motion, is turned
+    clockwise: the same energy, seen from another direction; `driven_m` (n,): length of the track [m]; `beside_j` (n,):
+    energy that is known beside the network [J].
     """
     kind = find_architecture(architecture)
     arrays = np.broadcast_arrays(x, y, heading_rad, energy_j, run, payload_kg, turned_rad, driven_m, beside_j)
@@ -235,23 +180,7 @@ def cut_examples(
 
 
 def concatenate(parts: Sequence[Examples]) -> Examples:
-    """Join several sets of examples.
-
-    Parameters
-    ----------
-    parts : sequence of Examples
-        At least one.
-
-    Returns
-    -------
-    Examples
-        All of them, in order.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """Join several sets of examples."""
     if not parts:
         raise InputError("there is no segment to learn from")
     return Examples(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Examples)))

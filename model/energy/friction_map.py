@@ -23,23 +23,12 @@ _BATCH = 4096
 class FrictionMap:
     """The mu of the paper's eq. 5 as a smooth function of the place. Needs scikit-learn.
 
-    Parameters
-    ----------
-    process : GaussianProcessRegressor
-        Fitted to mu minus its mean.
-    mean : float
-        Mean of mu.
-
-    Notes
-    -----
     Every measured segment gives one mu = t / (m g) - tan theta. Between them a Gaussian process interpolates (squared
     exponential over the distance, plus white noise). Far from all of them it returns to their mean, which is the global
     least squares friction.
 
-    References
-    ----------
-    Quann et al. 2020, "Off-road ground robot path energy cost prediction through probabilistic spatial mapping",
-    Journal of Field Robotics 37(3).
+    Reference: Quann et al. 2020, "Off-road ground robot path energy cost prediction through probabilistic spatial
+    mapping", Journal of Field Robotics 37(3).
     """
 
     def __init__(self, process: GaussianProcessRegressor, mean: float) -> None:
@@ -61,28 +50,8 @@ class FrictionMap:
 
         Lengths and variances are those of greatest likelihood on up to 500 segments; up to 2,500 are kept as data.
 
-        Parameters
-        ----------
-        x, y : array_like, (n,)
-            Centres of the segments [m].
-        traction_per_m : array_like, (n,)
-            Energy per horizontal metre without the hotel load [J/m].
-        tan_grade : array_like, (n,)
-            Grades.
-        weight_n : float
-            m g [N].
-        seed : int, optional
-            Of the choice of segments.
-
-        Returns
-        -------
-        FrictionMap
-            The fitted map.
-
-        Raises
-        ------
-        InputError
-            If there are fewer than five segments.
+        `x`, `y` (n,): centres of the segments [m]; `traction_per_m` (n,): energy per horizontal metre without the hotel
+        load [J/m]; `tan_grade` (n,): grades.
         """
         from sklearn.exceptions import ConvergenceWarning
         from sklearn.gaussian_process import GaussianProcessRegressor
@@ -107,18 +76,7 @@ class FrictionMap:
         return cls(process, mean)
 
     def rolling_resistance(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """Return the expected mu at places.
-
-        Parameters
-        ----------
-        x, y : array_like, (n,)
-            Places [m].
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            mu, dimensionless.
-        """
+        """Return the expected mu at places. `x`, `y` (n,): places [m]. The result is (n,)."""
         places = np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2).astype(np.float64)
         parts = [self.process.predict(places[k : k + _BATCH]) for k in range(0, len(places), _BATCH)]
         return self.mean + np.concatenate(parts)

@@ -26,19 +26,7 @@ def tan_grade(heightmap: Heightmap, x: ArrayLike, y: ArrayLike, heading_rad: Arr
 
     Heights are sampled bilinearly half a metre behind and ahead, so that the answer is exact on planes.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    x, y : array_like
-        Centres of the segments [m].
-    heading_rad : array_like
-        Headings [rad].
-
-    Returns
-    -------
-    ndarray of float64
-        Tangent of the pitch, positive uphill; NaN where the map is unknown.
+    `x`, `y`: centres of the segments [m]. Result: tangent of the pitch, positive uphill; NaN where the map is unknown.
     """
     dx, dy = heading_vector(heading_rad)
     half = 0.5 * SEGMENT_M
@@ -51,19 +39,7 @@ def tan_grade(heightmap: Heightmap, x: ArrayLike, y: ArrayLike, heading_rad: Arr
 def tan_grade_lattice(heightmap: Heightmap, frame: GridFrame, headings_rad: FloatArray) -> NDArray[np.float32]:
     """Return `tan_grade` at the cell centres of a lattice.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    frame : GridFrame
-        Cells of the lattice.
-    headings_rad : ndarray of float64, (K,)
-        Headings [rad].
-
-    Returns
-    -------
-    ndarray of float32, (rows, cols, K)
-        Tangent of the pitch; NaN where the map is unknown.
+    `headings_rad` is (K,). Result (rows, cols, K): tangent of the pitch; NaN where the map is unknown.
     """
     headings = np.ascontiguousarray(headings_rad, dtype=np.float64)
     own, sign = antipodes(headings)
@@ -84,17 +60,8 @@ def tan_grade_lattice(heightmap: Heightmap, frame: GridFrame, headings_rad: Floa
 def antipodes(headings: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     """Find for each heading the earlier one that has the opposite direction.
 
-    Parameters
-    ----------
-    headings : ndarray of float64, (K,)
-        Headings [rad].
-
-    Returns
-    -------
-    own : ndarray of int64, (K,)
-        Index of the opposite heading, or the heading's own.
-    sign : ndarray of float64, (K,)
-        -1 where it is the opposite, else +1.
+    `headings` (K,): headings [rad]. Returns `own` (K,): index of the opposite heading, or the heading's own; `sign`
+    (K,): -1 where it is the opposite, else +1.
     """
     own = np.arange(headings.size)
     sign = np.ones(headings.size)

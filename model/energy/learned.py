@@ -27,21 +27,7 @@ _COMPARED = {  # what the prices of a model of measured runs depend on, in words
 
 
 class Learned(ABC):
-    """The part that all predictors of a trained network share.
-
-    Parameters
-    ----------
-    name : str
-        What the model is called.
-    domain : Domain
-        Ranges of what it was trained on.
-    provenance : mapping
-        What the predictor says of itself, JSON-able.
-    spread : Spread, optional
-        Its errors on held-out runs.
-    costs : DriveCosts, optional
-        Of turning, time and speeding up in its runs, beyond straight driving.
-    """
+    """The part that all predictors of a trained network share."""
 
     def __init__(
         self,
@@ -63,20 +49,7 @@ class Learned(ABC):
         return {"name": self.name, "spread": self.spread.as_dict(), **self._provenance}
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """Return one sentence for every way in which a map or robot differs from what the network learned.
-
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-
-        Returns
-        -------
-        list of str
-            As `robot_warnings` and `Domain.warnings`.
-        """
+        """Return one sentence for every way in which a map or robot differs from what the network learned."""
         training = (self._provenance.get("config") or {}).get("training") or {}
         trained = training.get("robot")
         other = robot_warnings(trained, robot, model=self.name) if isinstance(trained, Mapping) else []
@@ -85,15 +58,7 @@ class Learned(ABC):
     def robot_with_turning(self, robot: Robot) -> Robot:
         """Return the robot with the energy of turning that the model's runs showed.
 
-        Parameters
-        ----------
-        robot : Robot
-            As its file declares it.
-
-        Returns
-        -------
-        Robot
-            With another `turn_j_per_rad`: that at its declared speed, or at the nearest that the runs showed.
+        Result: with another `turn_j_per_rad`: that at its declared speed, or at the nearest that the runs showed.
         """
         low, high = self.domain.driven.get("speed_mps", (0.0, math.inf))
         shown = replace(robot, speed_mps=min(max(robot.speed_mps, low), high))
@@ -103,17 +68,8 @@ class Learned(ABC):
     def drive_energy_j(self, robot: Robot, segments: Segments) -> NDArray[np.float64]:
         """Return what measured segments cost beyond going straight ahead at the declared speed.
 
-        Parameters
-        ----------
-        robot : Robot
-            As its file declares it.
-        segments : Segments
-            Measured.
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Energy [J], to be added to the price of the ground: the declared cost of turning and the model's own costs.
+        Result (n,): energy [J], to be added to the price of the ground: the declared cost of turning and the model's
+        own costs.
         """
         usual = self.costs.planned_turn_j_per_rad(robot) * self.domain.turned_rad
         declared = robot.turn_j_per_rad * segments.turned_abs_rad
@@ -124,15 +80,7 @@ class Learned(ABC):
     ) -> NDArray[np.float32]:
         """Return the traction demand at the cell centres of a lattice.
 
-        Parameters
-        ----------
-        heightmap, robot, frame, headings_rad : Heightmap, Robot, GridFrame, ndarray
-            As `traction_and_std`.
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols, K)
-            Traction demand [J/m]; NaN where the map is unknown.
+        Result (rows, cols, K): traction demand [J/m]; NaN where the map is unknown.
         """
         return self.traction_and_std(heightmap, robot, frame, headings_rad)[0]
 
@@ -141,15 +89,7 @@ class Learned(ABC):
     ) -> NDArray[np.float64]:
         """Return the traction demand of 1 m segments.
 
-        Parameters
-        ----------
-        heightmap, robot, x, y, heading_rad : Heightmap, Robot, array_like
-            As `segment_traction_and_std`.
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Traction demand [J/m]; NaN where the map is unknown.
+        Result (n,): traction demand [J/m]; NaN where the map is unknown.
         """
         return self.segment_traction_and_std(heightmap, robot, x, y, heading_rad)[0]
 
@@ -159,23 +99,8 @@ class Learned(ABC):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return traction and uncertainty at the cell centres of a lattice.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-        frame : GridFrame
-            Cells of the lattice.
-        headings_rad : ndarray of float64, (K,)
-            Headings [rad].
-
-        Returns
-        -------
-        traction : ndarray of float32, (rows, cols, K)
-            Traction demand [J/m]; NaN where the map is unknown.
-        std : ndarray of float32, (rows, cols, K)
-            Standard deviation of a 1 m segment's energy [J].
+        `headings_rad` is (K,). Returns `traction` (rows, cols, K): traction demand [J/m], NaN where the map is unknown;
+        `std` (rows, cols, K): standard deviation of a 1 m segment's energy [J].
         """
 
     @abstractmethod
@@ -184,23 +109,8 @@ class Learned(ABC):
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return traction and uncertainty of 1 m segments.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-        x, y : array_like, (n,)
-            Centres of the segments [m].
-        heading_rad : array_like, (n,)
-            Headings [rad].
-
-        Returns
-        -------
-        traction : ndarray of float64, (n,)
-            Traction demand [J/m]; NaN where the map is unknown.
-        std : ndarray of float64, (n,)
-            Standard deviation of the energy [J].
+        `x`, `y` (n,): centres of the segments [m]; `heading_rad` (n,). Returns `traction` (n,): traction demand [J/m],
+        NaN where the map is unknown; `std` (n,): standard deviation of the energy [J].
         """
 
 
@@ -209,19 +119,8 @@ def robot_warnings(trained: Mapping[str, Any], robot: Robot, *, model: str) -> l
 
     Speed, limits and names may differ: another declared speed is a question that a plan may ask.
 
-    Parameters
-    ----------
-    trained : mapping
-        The robot of the runs, by the keys of the robot file; empty where the model learned from no single robot.
-    robot : Robot
-        What the model is asked about.
-    model : str
-        What the model is called.
-
-    Returns
-    -------
-    list of str
-        One sentence with the value that differs most, or nothing.
+    `trained`: the robot of the runs, by the keys of the robot file, empty where the model learned from no single robot.
+    Result: one sentence with the value that differs most, or nothing.
     """
     most, words = TOLERANCE, None
     for key, unit in _COMPARED.items():

@@ -39,28 +39,13 @@ class MeanLevel:
 def mean_level(energy: ArrayLike, predicted: ArrayLike, run: ArrayLike, *, beside: ArrayLike = 0.0) -> MeanLevel:
     """Compare sums of measured and predicted energies.
 
-    Parameters
-    ----------
-    energy, predicted : array_like, (n,)
-        Measured and predicted energies, in one unit.
-    run : array_like, (n,)
-        The run of each, or whatever was left out together.
-    beside : array_like, (n,)
-        What is known of both and not multiplied.
+    `energy`, `predicted` (n,): measured and predicted energies, in one unit; `run` (n,): the run of each, or whatever
+    was left out together; `beside` (n,): what is known of both and not multiplied.
 
-    Returns
-    -------
-    MeanLevel
-        With a ratio of 1 where nothing is predicted.
-
-    Notes
-    -----
     The interval is Student's t with as many degrees of freedom as there are runs, minus one. A model that estimates the
     mean needs no factor; one of few runs would carry their chance into every prediction.
 
-    References
-    ----------
-    Cochran 1977, "Sampling Techniques", section 6.17 (the jackknife of a ratio).
+    Reference: Cochran 1977, "Sampling Techniques", section 6.17 (the jackknife of a ratio).
     """
     number = np.unique(np.asarray(run), return_inverse=True)[1]
     known = np.broadcast_to(np.asarray(beside, dtype=np.float64), number.shape)

@@ -18,59 +18,26 @@ a segment without any energy (downhill, with no idle power or with regeneration)
 def relative_errors(predicted_j: ArrayLike, energy_j: ArrayLike) -> NDArray[np.float64]:
     """Return the relative error of every segment, |e_hat - e| / |e|.
 
-    Parameters
-    ----------
-    predicted_j : array_like, (n,)
-        Predicted energies e_hat [J].
-    energy_j : array_like, (n,)
-        Measured energies e [J].
+    `predicted_j` (n,): predicted energies e_hat [J]; `energy_j` (n,): measured energies e [J]. The result is (n,).
 
-    Returns
-    -------
-    ndarray of float64, (n,)
-        Relative errors; |e| counts as `LEAST_J` where it is less.
-
-    References
-    ----------
-    Wei & Isler 2022, eq. 3.
+    Reference: Wei & Isler 2022, eq. 3.
     """
     predicted, energy = np.asarray(predicted_j, dtype=np.float64), np.asarray(energy_j, dtype=np.float64)
     return np.asarray(np.abs(predicted - energy) / np.maximum(np.abs(energy), LEAST_J))
 
 
 def mean_relative_error(predicted_j: ArrayLike, energy_j: ArrayLike) -> float:
-    """Return the mean of `relative_errors` over the segments: the paper's eq. 3.
-
-    Parameters
-    ----------
-    predicted_j, energy_j : array_like, (n,)
-        As `relative_errors`.
-
-    Returns
-    -------
-    float
-        0.1 means 10 %.
-    """
+    """Return the mean of `relative_errors` over the segments: the paper's eq. 3. `predicted_j`, `energy_j` are (n,)."""
     return float(relative_errors(predicted_j, energy_j).mean())
 
 
 def errors_of(measured: Residuals, predicted: NDArray[np.float64]) -> dict[str, Any]:
     """Return the errors of a prediction over all driven metres.
 
-    Parameters
-    ----------
-    measured : Residuals
-        The rows.
-    predicted : ndarray of float, (n,)
-        Energy [J], or charge [A s].
-
-    Returns
-    -------
-    dict
-        `mean_relative` (Wei & Isler 2022, eq. 3, over segments whose energy is positive), `absolute_share` (sum of the
-        magnitudes of the errors over the energy), `rmse`, `bias` (measured minus predicted), `by_run`, the mean
-        relative error of each run, and `run_energy_rms`, the root mean square relative error of the energy of a whole
-        run with its stops.
+    `predicted` (n,): energy [J], or charge [A s]. Result: `mean_relative` (Wei & Isler 2022, eq. 3, over segments whose
+    energy is positive), `absolute_share` (sum of the magnitudes of the errors over the energy), `rmse`, `bias`
+    (measured minus predicted), `by_run`, the mean relative error of each run, and `run_energy_rms`, the root mean
+    square relative error of the energy of a whole run with its stops.
     """
     moving = measured.moving
     energy, away = measured.measured[moving], (measured.measured - predicted)[moving]

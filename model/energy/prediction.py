@@ -40,15 +40,7 @@ class Prediction:
 def joined(parts: Sequence[Prediction]) -> Prediction:
     """Join predictions of one kind of model.
 
-    Parameters
-    ----------
-    parts : sequence of Prediction
-        At least one.
-
-    Returns
-    -------
-    Prediction
-        One after the other; without a standard deviation where one part has none.
+    Result: one after the other; without a standard deviation where one part has none.
     """
     stds = [part.std_j for part in parts if part.std_j is not None]
     return Prediction(
@@ -63,22 +55,6 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
 
     The ground costs what the model says. Turning, time and speeding up cost what was fitted to the runs of a network;
     of any other model turning costs what is declared, and idle power is drawn for as long as a segment took.
-
-    Parameters
-    ----------
-    predictor : Predictor
-        Any model.
-    heightmap : Heightmap
-        On which they were driven.
-    robot : Robot
-        That drove.
-    segments : Segments
-        Measured.
-
-    Returns
-    -------
-    Prediction
-        In the order of the segments.
     """
     if isinstance(predictor, _ReadsLogs):
         return predictor.predict_segments(heightmap, robot, segments)
@@ -96,19 +72,7 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
 def std_of_segments(said: Prediction, robot: Robot, segments: Segments) -> FloatArray:
     """Return the standard deviation of measured segments before a calibration.
 
-    Parameters
-    ----------
-    said : Prediction
-        Of the base model.
-    robot : Robot
-        As declared.
-    segments : Segments
-        Measured.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Standard deviation [J]: the model's own, or a usual share of the price.
+    Result (n,): standard deviation [J]: the model's own, or a usual share of the price.
     """
     return assumed_std(None, said.traction_per_m, robot) * segments.driven_m if said.std_j is None else said.std_j
 
@@ -116,19 +80,8 @@ def std_of_segments(said: Prediction, robot: Robot, segments: Segments) -> Float
 def assumed_std(std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any]:
     """Return the standard deviation of 1 m segments before a calibration.
 
-    Parameters
-    ----------
-    std_j : ndarray, optional
-        As the model gives it [J]; None from a model that does not know it.
-    traction_per_m : ndarray
-        Of the same segments [J/m].
-    robot : Robot
-        As declared.
-
-    Returns
-    -------
-    ndarray
-        Standard deviation [J]: the model's own, or a usual share of the price.
+    `std_j`: as the model gives it [J], None from a model that does not know it. Result: standard deviation [J]: the
+    model's own, or a usual share of the price.
     """
     if std_j is not None:
         return std_j

@@ -47,23 +47,12 @@ def checked_spread(
 ) -> tuple[Spread, Reliability | None]:
     """Fit a spread to held-out segments, and check it on groups of runs that had no part in it.
 
-    Parameters
-    ----------
-    energy, predicted, std : ndarray of float, (n,)
-        Measured and predicted energy of each segment, and its standard deviation by the model [J].
-    run : ndarray of int, (n,)
-        Of each segment; those of a run are in driving order.
-    group : ndarray of int, (n,)
-        What was left out together.
+    `energy`, `predicted`, `std` (n,): measured and predicted energy of each segment, and its standard deviation by the
+    model [J]; `run` (n,): of each segment, those of a run are in driving order; `group` (n,): what was left out
+    together. Result: the spread of all of them, as wide as the check says; and the check, None where three groups are
+    not there.
 
-    Returns
-    -------
-    tuple of (Spread, Reliability or None)
-        The spread of all of them, as wide as the check says; and the check, None where three groups are not there.
-
-    References
-    ----------
-    Gneiting, Balabdaoui & Raftery 2007, "Probabilistic forecasts, calibration and sharpness".
+    Reference: Gneiting, Balabdaoui & Raftery 2007, "Probabilistic forecasts, calibration and sharpness".
     """
     spread = fit_spread(energy, predicted, std, run, group=group)
     names, number = np.unique(group, return_inverse=True)

@@ -26,29 +26,8 @@ def residuals_on(
 ) -> tuple[Residuals, dict[str, FloatArray], FloatArray]:
     """Return the residuals of segments against a model.
 
-    Parameters
-    ----------
-    predictor : Predictor
-        The model.
-    heightmap : Heightmap
-        On which they were driven.
-    robot : Robot
-        That drove.
-    segments : Segments
-        Measured.
-    least : int
-        Smallest number of usable segments.
-
-    Returns
-    -------
-    tuple of (Residuals, dict, ndarray of float)
-        The residuals; the readings of the battery of each row (means of voltage, current and power, and energy), (n,),
-        which no effect may copy; and the standard deviation that the model assumes, (n,) [J].
-
-    Raises
-    ------
-    RunsError
-        As `check_runs`, and if fewer than `least` segments are usable.
+    Result: the residuals; the readings of the battery of each row (means of voltage, current and power, and energy),
+    (n,), which no effect may copy; and the standard deviation that the model assumes, (n,) [J].
     """
     check_runs(segments, heightmap, robot)
     said = predict_segments(predictor, heightmap, robot, segments)
@@ -88,25 +67,8 @@ def keep_base_runs(
 ) -> bool:
     """Keep the runs that a model was trained on beside it, as the baseline of later calibrations.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the model.
-    heightmap : Heightmap
-        On which they were driven.
-    robot : Robot
-        That drove.
-    segments : Segments
-        Measured.
-    traction : ndarray of float, (n,)
-        Of every segment [J/m], from a network that was trained without its run.
-    energy : ndarray of float, (n,)
-        Predicted by the same network [J].
-
-    Returns
-    -------
-    bool
-        False, and nothing is kept, where there are too few segments.
+    `traction` (n,): of every segment [J/m], from a network that was trained without its run; `energy` (n,): predicted
+    by the same network [J]. Result: False, and nothing is kept, where there are too few segments.
     """
     try:
         residuals, _ = _residuals(heightmap, robot, segments, traction, energy)
@@ -119,26 +81,7 @@ def keep_base_runs(
 def base_residuals(
     model: str | Path, predictor: Predictor, heightmap: Heightmap, robot: Robot, runs: Segments | None
 ) -> Residuals | None:
-    """Return the residuals of the baseline runs.
-
-    Parameters
-    ----------
-    model : str or Path
-        Name or folder of the base model.
-    predictor : Predictor
-        The base model.
-    heightmap : Heightmap
-        On which the given runs were driven.
-    robot : Robot
-        That drove.
-    runs : Segments, optional
-        Baseline runs; without them, those kept in the model's folder.
-
-    Returns
-    -------
-    Residuals or None
-        None where there are no baseline runs.
-    """
+    """Return the residuals of the baseline runs. Result: None where there are no baseline runs."""
     if runs is None:
         return None if model in MODEL_NAMES else read_record(model)
     return residuals_on(predictor, heightmap, robot, runs)[0]

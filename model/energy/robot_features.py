@@ -26,22 +26,7 @@ the standard deviation of the noise that was taken out of the map, at least `LEA
 
 
 def robot_features(robot: Robot, resolution_m: float, noise_m: float = 0.0) -> NDArray[np.float32]:
-    """Return the features of a robot on a map, in the order of `FEATURES`.
-
-    Parameters
-    ----------
-    robot : Robot
-        As its file declares it.
-    resolution_m : float
-        Metres per pixel of the heightmap.
-    noise_m : float, default 0.0
-        `removed_noise_m` of the heightmap.
-
-    Returns
-    -------
-    ndarray of float32, (9,)
-        Not normalised.
-    """
+    """Return the features of a robot on a map, in the order of `FEATURES`. The result is (9,)."""
     return np.array(
         [
             math.log(robot.mass_kg),

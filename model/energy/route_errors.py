@@ -6,9 +6,7 @@ where the median is the bias and errors above it may be larger than those below 
 parameters maximise the likelihood of the summed errors of stretches of 24, 48, ... segments (a composite marginal
 likelihood): what a verdict needs is the spread of sums, and neighbouring segments say little of it.
 
-References
-----------
-Varin, Reid & Firth 2011, "An overview of composite likelihood methods". Lange, Little & Taylor 1989, "Robust
+Reference: Varin, Reid & Firth 2011, "An overview of composite likelihood methods". Lange, Little & Taylor 1989, "Robust
 statistical modeling using the t distribution". Wallis 2014, "The two-piece normal, binormal, or double Gaussian
 distribution". Schwarz 1978 (the criterion by which a bias and unequal sides are accepted).
 """
@@ -85,19 +83,8 @@ class _Sums:
 def correlated_variance(variance: FloatArray, count: FloatArray, correlation_m: float) -> FloatArray:
     """Return the variance of sums of correlated errors.
 
-    Parameters
-    ----------
-    variance : ndarray of float, (n,)
-        Sum of the variances of the parts of each.
-    count : ndarray of float, (n,)
-        Number of its parts.
-    correlation_m : float
-        Sum of the correlations of a part with all others and itself.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Of a first-order autoregression of parts of equal variance.
+    `variance` (n,): sum of the variances of the parts of each; `count` (n,): number of its parts. Result (n,): of a
+    first-order autoregression of parts of equal variance.
     """
     phi = (correlation_m - 1.0) / (correlation_m + 1.0)
     ends = 2.0 * phi * (1.0 - phi**count) / ((1.0 - phi) ** 2 * np.maximum(count, 1.0))
@@ -109,26 +96,10 @@ def fit_route_errors(
 ) -> RouteErrors:
     """Fit how the errors of held-out segments add up.
 
-    Parameters
-    ----------
-    error_j : ndarray of float, (n,)
-        Measured minus predicted [J].
-    energy_j : ndarray of float, (n,)
-        Predicted [J].
-    std_j : ndarray of float, (n,)
-        Standard deviation of each segment [J].
-    run : ndarray of int, (n,)
-        Of each segment; those of a run are in driving order.
-    group : ndarray of int, (n,)
-        What was left out together: the run, or its campaign.
+    `error_j` (n,): measured minus predicted [J]; `energy_j` (n,): predicted [J]; `std_j` (n,): standard deviation of
+    each segment [J]; `run` (n,): of each segment, those of a run are in driving order; `group` (n,): what was left out
+    together: the run, or its campaign. Result: every group and every length of stretch counts alike.
 
-    Returns
-    -------
-    RouteErrors
-        Every group and every length of stretch counts alike.
-
-    Notes
-    -----
     A bias and unequal sides are accepted where there are `ENOUGH` groups and the criterion of Schwarz (1978), with as
     many observations as there are groups, says so: a few runs show neither. With so many groups scales and degrees of
     freedom are those at which the intervals of `LEVELS` hold what they say.
@@ -223,15 +194,8 @@ def _sums(
 def stretches_of(mine: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     """Return the stretches whose sums are judged.
 
-    Parameters
-    ----------
-    mine : ndarray of int, (n,)
-        Segments of a run, in driving order.
-
-    Yields
-    ------
-    ndarray of int
-        Stretches of every length that do not overlap; the whole run where it is shorter than two of the shortest.
+    `mine` (n,): segments of a run, in driving order. Yields: stretches of every length that do not overlap; the whole
+    run where it is shorter than two of the shortest.
     """
     for length in STRETCHES:
         parts = mine.size // length

@@ -31,25 +31,6 @@ class SegmentPredictor(Learned):
 
     The traction is the network's energy without the robot's hotel load, so that the price of a segment is the network's
     answer wherever that is not below the hotel load. NaN where an input meets unknown ground.
-
-    Parameters
-    ----------
-    architecture : Architecture
-        How inputs are cut and the network is asked.
-    net : Network
-        A trained network.
-    domain : Domain
-        What it was trained on.
-    provenance : mapping
-        What the predictor says of itself, JSON-able.
-    size : int
-        Rows and columns of an input.
-    name : str
-        What the model is called.
-    spread : Spread, optional
-        Its errors on held-out runs.
-    costs : DriveCosts, optional
-        Of turning, time and speeding up, beyond straight driving.
     """
 
     def __init__(
@@ -75,23 +56,8 @@ class SegmentPredictor(Learned):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return traction and uncertainty at the cell centres of a lattice.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-        frame : GridFrame
-            Cells of the lattice.
-        headings_rad : ndarray of float64, (K,)
-            Headings [rad].
-
-        Returns
-        -------
-        traction : ndarray of float32, (rows, cols, K)
-            Traction demand [J/m]; NaN where the map is unknown.
-        std : ndarray of float32, (rows, cols, K)
-            Standard deviation of a 1 m segment's energy [J].
+        `headings_rad` is (K,). Returns `traction` (rows, cols, K): traction demand [J/m], NaN where the map is unknown;
+        `std` (rows, cols, K): standard deviation of a 1 m segment's energy [J].
         """
         x, y = frame.centres()
         shape = frame.rows, frame.cols, len(headings_rad)
@@ -106,23 +72,8 @@ class SegmentPredictor(Learned):
 
         A network without a standard deviation of its own gets the share of the energy that held-out runs showed.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-        x, y : array_like, (n,)
-            Centres of the segments [m].
-        heading_rad : array_like, (n,)
-            Headings [rad].
-
-        Returns
-        -------
-        traction : ndarray of float64, (n,)
-            Traction demand [J/m]; NaN where the map is unknown.
-        std : ndarray of float64, (n,)
-            Standard deviation of the energy [J].
+        `x`, `y` (n,): centres of the segments [m]; `heading_rad` (n,). Returns `traction` (n,): traction demand [J/m],
+        NaN where the map is unknown; `std` (n,): standard deviation of the energy [J].
         """
         places = np.broadcast_arrays(x, y, heading_rad)
         xs, ys, heading = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in places)

@@ -42,24 +42,9 @@ def shape_features(
 ) -> FloatArray:
     """Return plain features of the ground under 1 m segments.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        Its width places the wheel tracks.
-    x, y : array_like, (n,)
-        Centres of the segments [m].
-    heading_rad : array_like, (n,)
-        Headings [rad].
+    `x`, `y` (n,): centres of the segments [m]; `heading_rad` (n,). Result (n, 11): in the order of `FEATURES`; NaN
+    throughout where a height is unknown.
 
-    Returns
-    -------
-    ndarray of float64, (n, 11)
-        In the order of `FEATURES`; NaN throughout where a height is unknown.
-
-    Notes
-    -----
     grade : rise over the metre, positive uphill; steepness : its size. cross_grade : of the fitted plane, positive with
     the right side higher; cross_steepness : its size. roughness : root mean square about that plane [m]. Of both wheel
     tracks: track_second_difference, root mean square of second differences [m]; track_roughness, mean deviation of a
@@ -149,30 +134,8 @@ class RidgeBaseline:
         The penalty is the one with the least mean relative error when every run in turn is left out. A single run is
         divided into five parts.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drove on it.
-        x, y : array_like, (n,)
-            Centres of the segments [m].
-        heading_rad : array_like, (n,)
-            Headings [rad].
-        energy_j : array_like, (n,)
-            Measured energies [J].
-        run : array_like, (n,), optional
-            The run of each segment.
-
-        Returns
-        -------
-        RidgeBaseline
-            The fitted regression.
-
-        Raises
-        ------
-        InputError
-            If there are fewer than ten known segments.
+        `x`, `y` (n,): centres of the segments [m]; `heading_rad` (n,); `energy_j` (n,): measured energies [J]; `run`
+        (n,).
         """
         features = shape_features(heightmap, robot, x, y, heading_rad)
         energy = np.asarray(energy_j, dtype=np.float64).ravel()
@@ -196,21 +159,8 @@ class RidgeBaseline:
     ) -> FloatArray:
         """Predict the energy of 1 m segments.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-        x, y : array_like, (n,)
-            Centres of the segments [m].
-        heading_rad : array_like, (n,)
-            Headings [rad].
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Energy [J]; NaN where the map is unknown.
+        `x`, `y` (n,): centres of the segments [m]; `heading_rad` (n,). Result (n,): energy [J]; NaN where the map is
+        unknown.
         """
         features = shape_features(heightmap, robot, x, y, heading_rad)
         return np.asarray(_design((features - self.mean) / self.scale) @ self.coefficients)

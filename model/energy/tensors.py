@@ -43,21 +43,9 @@ class NetworkOutput:
 class ExampleTensors:
     """Examples as tensors on a device, and the energy that a network on that device gives them.
 
-    Parameters
-    ----------
-    examples : Examples
-        The n segments.
-    device : torch.device, optional
-        Where the tensors are placed. The processor by default.
-
-    Attributes
-    ----------
-    inputs : Tensor, (n, S, S)
-        Heights [m].
-    features : Tensor, (n, 8)
-        `FEATURES` of the robot.
-    heading, grade, weight, rolling, hotel, regeneration, voltage, measured, driven, beside : Tensor, (n,)
-        The columns of `Examples`, in their units.
+    `inputs` (n, S, S): heights [m]; `features` (n, 8): `FEATURES` of the robot; `heading`, `grade`, `weight`,
+    `rolling`, `hotel`, `regeneration`, `voltage`, `measured`, `driven`, `beside` (n,): the columns of `Examples`, in
+    their units.
     """
 
     def __init__(self, examples: Examples, device: torch.device = CPU) -> None:
@@ -81,20 +69,7 @@ class ExampleTensors:
         self._derived: dict[str, Tensor] = {}
 
     def derived(self, key: str, make: Callable[[Examples], NDArray[np.float32]]) -> Tensor:
-        """Return what an architecture computes from the examples once and needs in every pass.
-
-        Parameters
-        ----------
-        key : str
-            A name for it.
-        make : callable
-            Computes it, (n, ...), when it is asked for the first time.
-
-        Returns
-        -------
-        Tensor
-            On the device.
-        """
+        """Return what an architecture computes from the examples once and needs in every pass."""
         if key not in self._derived:
             self._derived[key] = torch.from_numpy(make(self.examples)).to(self.device)
         return self._derived[key]
@@ -102,20 +77,7 @@ class ExampleTensors:
     def energy_of(self, traction: Tensor, part: Tensor, *, leak: float) -> Tensor:
         """Return the energy that segments take from the battery.
 
-        Parameters
-        ----------
-        traction : Tensor, (B,)
-            Traction demand [J].
-        part : Tensor of int64, (B,)
-            Which examples.
-        leak : float
-            Least slope below zero traction, where the robot's own is its regeneration. 1 gives the hotel load plus the
-            traction.
-
-        Returns
-        -------
-        Tensor, (B,)
-            Energy [J].
+        `traction` (B,): traction demand [J]; `part` (B,): which examples. Result (B,): energy [J].
         """
         down = torch.clamp_max(traction, 0.0) * torch.clamp_min(self.regeneration[part], leak)
         return self.hotel[part] + torch.relu(traction) + down
@@ -132,22 +94,9 @@ class ExampleTensors:
     ) -> NetworkOutput:
         """Ask a network for the energy of some examples.
 
-        Parameters
-        ----------
-        net : Network
-            On the same device.
-        part : Tensor of int64, (B,)
-            Which examples.
-        leak : float
-            As `energy_of`.
-        quarter_turns, mirror, jitter : int, bool, float
-            Augmentations, as `Architecture.answer`: the ground is turned clockwise after being mirrored east to west,
-            and headings go with it.
-
-        Returns
-        -------
-        NetworkOutput
-            Of the B examples: what the network says of a metre times the metres driven, and what is known beside it.
+        `part` (B,); `quarter_turns`, `mirror`, `jitter`: augmentations, as `Architecture.answer`: the ground is turned
+        clockwise after being mirrored east to west, and headings go with it. Result: of the B examples: what the
+        network says of a metre times the metres driven, and what is known beside it.
         """
         architecture = find_architecture(net.architecture)
         straight = architecture.answer(
@@ -159,19 +108,8 @@ class ExampleTensors:
 def predicted(net: Network, examples: Examples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Ask a network for the energy of all examples, on the processor.
 
-    Parameters
-    ----------
-    net : Network
-        On the processor.
-    examples : Examples
-        The n segments.
-
-    Returns
-    -------
-    energy : ndarray of float64, (n,)
-        Energy [J].
-    std : ndarray of float64, (n,)
-        Standard deviation [J] as the network estimates it, before any calibration on held-out runs.
+    Returns `energy` (n,): energy [J]; `std` (n,): standard deviation [J] as the network estimates it, before any
+    calibration on held-out runs.
     """
     net.eval()
     batch = find_architecture(net.architecture).at_once

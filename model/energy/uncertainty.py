@@ -82,23 +82,7 @@ class Spread:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Spread:
-        """Make a spread of what `as_dict` wrote.
-
-        Parameters
-        ----------
-        values : mapping
-            The numbers by name.
-
-        Returns
-        -------
-        Spread
-            The spread.
-
-        Raises
-        ------
-        ModelError
-            If the values are no spread.
-        """
+        """Make a spread of what `as_dict` wrote."""
         try:
             return cls(**{**values, "quantiles": tuple(float(q) for q in values["quantiles"])})
         except (TypeError, KeyError, ValueError) as error:
@@ -107,24 +91,8 @@ class Spread:
     def interval(self, energy_j: ArrayLike, std_j: ArrayLike, level: float) -> tuple[FloatArray, FloatArray]:
         """Return intervals that hold a given share of new segments.
 
-        Parameters
-        ----------
-        energy_j : array_like, (n,)
-            Predicted energies [J].
-        std_j : array_like, (n,)
-            Their standard deviations [J].
-        level : float
-            The share, one of `LEVELS`.
-
-        Returns
-        -------
-        low, high : ndarray of float64, (n,)
-            Ends of the intervals [J].
-
-        Raises
-        ------
-        InputError
-            If there is no quantile for the level.
+        `energy_j` (n,): predicted energies [J]; `std_j` (n,): their standard deviations [J]. Result (n,): ends of the
+        intervals [J].
         """
         if level not in LEVELS:
             raise InputError(f"there are intervals for {LEVELS}, not for {level}", level=level)
@@ -135,20 +103,10 @@ class Spread:
     def along(self, energy_j: ArrayLike, std_j: ArrayLike) -> tuple[FloatArray, FloatArray | None]:
         """Return the distribution of the energy up to the end of each segment of a route.
 
-        Parameters
-        ----------
-        energy_j : array_like, (n,)
-            Predicted energies of the 1 m segments, in driving order [J].
-        std_j : array_like, (n,)
-            Their standard deviations [J].
-
-        Returns
-        -------
-        scale_j : ndarray of float64, (n,)
-            Scale of the cumulative energy [J], as `route_std`.
-        freedom : ndarray of float64, (n,), or None
-            Degrees of freedom of Student's t, by Satterthwaite (1946) that of a sum of two variances; None for a normal
-            distribution.
+        `energy_j` (n,): predicted energies of the 1 m segments, in driving order [J]; `std_j` (n,): their standard
+        deviations [J]. Returns `scale_j` (n,): scale of the cumulative energy [J], as `route_std`; `freedom` (n,):
+        degrees of freedom of Student's t, by Satterthwaite (1946) that of a sum of two variances, None for a normal
+        distribution.
         """
         scale = self.route_std(energy_j, std_j)
         of_run = np.square(self.run_share * np.cumsum(np.asarray(energy_j, dtype=np.float64)))
@@ -157,17 +115,8 @@ class Spread:
     def freedom_of(self, of_run: FloatArray, rest: FloatArray) -> FloatArray | None:
         """Return the degrees of freedom of energies.
 
-        Parameters
-        ----------
-        of_run : ndarray of float, (n,)
-            Squared scale of the error that a whole run has in common [J2].
-        rest : ndarray of float, (n,)
-            Squared scale of the remaining errors [J2].
-
-        Returns
-        -------
-        ndarray of float64, (n,), or None
-            Of Student's t of their sum; None for a normal distribution.
+        `of_run` (n,): squared scale of the error that a whole run has in common [J2]; `rest` (n,): squared scale of the
+        remaining errors [J2]. Result (n,): of Student's t of their sum; None for a normal distribution.
         """
         if self.freedom is None and self.run_freedom is None:
             return None
@@ -178,20 +127,10 @@ class Spread:
     def route_std(self, energy_j: ArrayLike, std_j: ArrayLike) -> FloatArray:
         """Return the scale of the energy up to the end of each segment of a route.
 
-        Parameters
-        ----------
-        energy_j : array_like, (n,)
-            Predicted energies of the 1 m segments, in driving order [J].
-        std_j : array_like, (n,)
-            Their standard deviations [J].
+        `energy_j` (n,): predicted energies of the 1 m segments, in driving order [J]; `std_j` (n,): their standard
+        deviations [J]. Result (n,): scale of the cumulative energy [J]: the standard deviation where the distribution
+        is normal.
 
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Scale of the cumulative energy [J]: the standard deviation where the distribution is normal.
-
-        Notes
-        -----
         Two independent parts: the relative error of the whole run, and the remaining errors, correlated between
         neighbours as in a first-order autoregression whose correlations sum to `correlation_m`.
         """
@@ -209,21 +148,8 @@ def segment_std(price_j: ArrayLike, relative: ArrayLike, level_j: ArrayLike, *, 
     It is relative to the price, but at least to a share of the energy of level ground: a braking segment costs nothing
     and is still uncertain.
 
-    Parameters
-    ----------
-    price_j : array_like, (n,)
-        Predicted energies [J].
-    relative : array_like, (n,)
-        Standard deviations over the energy.
-    level_j : array_like, (n,)
-        Energy of level ground [J].
-    factor : float
-        `Spread.factor`.
-
-    Returns
-    -------
-    ndarray, (n,)
-        Standard deviations [J].
+    `price_j` (n,): predicted energies [J]; `relative` (n,): standard deviations over the energy; `level_j` (n,). Result
+    (n,): standard deviations [J].
     """
     return np.asarray(factor * np.asarray(relative) * np.maximum(price_j, LEAST_SHARE * np.asarray(level_j)))
 
@@ -238,40 +164,17 @@ def fit_spread(
 ) -> Spread:
     """Fit a spread to held-out segments.
 
-    Parameters
-    ----------
-    energy_j : array_like, (n,)
-        Measured energies [J].
-    predicted_j : array_like, (n,)
-        Predicted energies [J].
-    std_j : array_like, (n,)
-        The network's own standard deviations [J].
-    run : array_like, (n,)
-        The run of each segment; segments of a run are in driving order.
-    group : array_like, (n,), optional
-        What was left out together, such as campaigns. By default every run.
+    `energy_j` (n,): measured energies [J]; `predicted_j` (n,): predicted energies [J]; `std_j` (n,): the network's own
+    standard deviations [J]; `run` (n,): the run of each segment, segments of a run are in driving order; `group` (n,):
+    what was left out together, such as campaigns.
 
-    Returns
-    -------
-    Spread
-        With the number of segments.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 20 segments.
-
-    Notes
-    -----
     The factor makes the mean square of the standardised errors, without their largest hundredth, that of a normal
     distribution truncated at the same place. The quantiles are those of the standardised errors, with the finite-sample
     correction. How errors add up along a route is fitted by `fit_route_errors`. The usual `run_share` counts as one
     group more where it is larger: one run that happens to be well predicted says little of the next. The error of a run
     has as many degrees of freedom as there are groups, or fewer where the sums have fatter tails.
 
-    References
-    ----------
-    Lei et al. 2018, "Distribution-free predictive inference for regression" (split conformal prediction).
+    Reference: Lei et al. 2018, "Distribution-free predictive inference for regression" (split conformal prediction).
     """
     energy, predicted = np.asarray(energy_j, dtype=np.float64), np.asarray(predicted_j, dtype=np.float64)
     std = np.asarray(std_j, dtype=np.float64)

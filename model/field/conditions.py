@@ -27,11 +27,6 @@ class Wind:
         Speed, not negative [m/s].
     from_rad : ndarray of float64, (k,)
         Where the wind comes from, clockwise from north [rad].
-
-    Raises
-    ------
-    InputError
-        If the two differ in length, are empty, or a speed is negative.
     """
 
     speed_mps: FloatArray
@@ -43,20 +38,7 @@ class Wind:
 
     @classmethod
     def steady(cls, speed_mps: float, from_rad: float) -> Wind:
-        """Return a wind without gusts.
-
-        Parameters
-        ----------
-        speed_mps : float
-            Speed [m/s].
-        from_rad : float
-            Where it comes from, clockwise from north [rad].
-
-        Returns
-        -------
-        Wind
-            The wind.
-        """
+        """Return a wind without gusts. `from_rad`: where it comes from, clockwise from north [rad]."""
         return cls(np.array([float(speed_mps)]), np.array([float(from_rad)]))
 
     @classmethod
@@ -64,22 +46,6 @@ class Wind:
         """Draw a wind with gusts, slower changes and a veering direction.
 
         Gusts of about a quarter of the mean last about 8 s, slower changes about a minute.
-
-        Parameters
-        ----------
-        mean_mps : float
-            Mean speed [m/s].
-        from_rad : float
-            Mean direction from which it comes [rad].
-        rng : numpy.random.Generator
-            Source of the gusts.
-        seconds : int, optional
-            How long the wind lasts before it repeats [s].
-
-        Returns
-        -------
-        Wind
-            The wind.
         """
         gusts = 0.22 * smooth_noise(rng, seconds, 4.0) + 0.15 * smooth_noise(rng, seconds, 40.0)
         veer = math.radians(12.0) * smooth_noise(rng, seconds, 15.0)
@@ -88,15 +54,8 @@ class Wind:
     def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the wind at times of the run, linear between the entries.
 
-        Parameters
-        ----------
-        t : ndarray of float64, (n,)
-            Time since the start of the run [s].
-
-        Returns
-        -------
-        tuple of ndarray, (n,)
-            Speed [m/s], and the direction from which it comes [rad].
+        `t` (n,): time since the start of the run [s]. Result (n,): speed [m/s], and the direction from which it comes
+        [rad].
         """
         seconds = np.arange(self.speed_mps.size, dtype=np.float64)
         t = np.mod(t, self.speed_mps.size)
@@ -121,15 +80,7 @@ class Halts:
     def waited_s(self, n: int) -> FloatArray:
         """Return how long the robot has halted before each station; a halt delays everything after it.
 
-        Parameters
-        ----------
-        n : int
-            Number of stations.
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Time spent in halts so far [s].
+        Result (n,): time spent in halts so far [s].
         """
         halts = np.zeros(n + 1)
         np.add.at(halts, self.stations + 1, self.seconds)
@@ -179,40 +130,13 @@ class Conditions:
     def temperature_c(self, t: FloatArray) -> FloatArray:
         """Return the temperature of the air.
 
-        Parameters
-        ----------
-        t : ndarray of float64, (n,)
-            Time since the start of the run [s].
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Temperature [degC].
+        `t` (n,): time since the start of the run [s]. Result (n,): temperature [degC].
         """
         return self.mean_c - self.swing_c * np.cos((self.start_s + t - 4.0 * 3600.0) * TAU / _DAY_S)
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, *, start_s: float, driven_m: float, charge: float, day: Day) -> Conditions:
-        """Draw the conditions of a run on a day; what varies here matters only where an effect depends on it.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Source of randomness.
-        start_s : float
-            Time stamp of the first row [s].
-        driven_m : float
-            Distance already driven that day [m].
-        charge : float
-            State of charge at the start, 0 to 1.
-        day : Day
-            Weather of the day.
-
-        Returns
-        -------
-        Conditions
-            The conditions.
-        """
+        """Draw the conditions of a run on a day; what varies here matters only where an effect depends on it."""
         mean_mps = day.wind_mps * math.exp(0.25 * rng.standard_normal())
         wind = Wind.gusty(mean_mps, day.wind_from_rad + 0.35 * rng.standard_normal(), rng)
         return cls(
@@ -252,18 +176,7 @@ class Day:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Day:
-        """Draw the weather of a day.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Source of randomness.
-
-        Returns
-        -------
-        Day
-            The weather.
-        """
+        """Draw the weather of a day."""
         return cls(
             mean_c=float(rng.uniform(-2.0, 24.0)),
             swing_c=float(rng.uniform(2.0, 7.0)),

@@ -30,32 +30,7 @@ def simulate_day(
 ) -> Iterator[RunLog]:
     """Drive and log the runs of one day, with its weather, its halts and a battery that is used up.
 
-    Parameters
-    ----------
-    site : Site
-        Where.
-    robot : FieldRobot
-        As it truly is.
-    drives : iterable of Drive
-        One for each run; the battery must last for all of them.
-    day : int
-        Number of the day on the log's clock.
-    hidden : sequence of str
-        Names of effects, of `hidden_draws.EFFECT_NAMES`. Their strength is drawn.
-    rng : numpy.random.Generator
-        Of strengths, weather, halts and noise.
-
-    Yields
-    ------
-    RunLog
-        As recorded.
-
-    Raises
-    ------
-    NotFoundError
-        If an effect is unknown.
-    InputError
-        If the battery cannot deliver what a drive needs.
+    Raises NotFoundError if an effect is unknown.
     """
     effects = [draw_effect(name, rng, robot) for name in hidden]
     if "terrain_class" in hidden:

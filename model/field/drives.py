@@ -60,36 +60,7 @@ def drive_along(
     corner_m: float = 0.5,
     speed_spread: float = 0.03,
 ) -> Drive:
-    """Follow a polyline.
-
-    Parameters
-    ----------
-    points : array_like, (k, 2)
-        Corners in world x, y [m].
-    speed_mps : float
-        Speed on straight lines [m/s]. Turns tighter than about 0.7 m of radius are driven slower, at a constant rate
-        of turning.
-    rng : numpy.random.Generator, optional
-        Source of the driver's errors; without it the drive is perfect.
-    wander_m : float, optional
-        Root mean square of the lateral error [m].
-    wander_length_m : float, optional
-        Distance over which that error is smooth [m].
-    corner_m : float, optional
-        How far corners are rounded [m]; 0 keeps the path exact.
-    speed_spread : float, optional
-        Relative variation of the speed.
-
-    Returns
-    -------
-    Drive
-        The path as driven.
-
-    Raises
-    ------
-    PointError
-        If there are fewer than two distinct finite points.
-    """
+    """Follow a polyline. `points` (k, 2): corners in world x, y [m]."""
     nodes = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     legs = np.hypot(*np.diff(nodes, axis=0).T) if len(nodes) > 1 else np.empty(0)
     if not np.isfinite(nodes).all() or not (legs > 0).any():
@@ -117,19 +88,8 @@ def lawnmower(
 ) -> list[tuple[float, float]]:
     """Return the corners of parallel lines that cover an area, driven to and fro.
 
-    Parameters
-    ----------
-    bounds : tuple of float
-        West, south, east, north of the area [m].
-    spacing_m : float
-        Distance between two lines [m].
-    heading_rad : float, optional
-        Heading of the lines [rad]; 0 is the paper's north-south pattern.
-
-    Returns
-    -------
-    list of tuple of float
-        World x, y [m], inside the bounds.
+    `bounds`: west, south, east, north of the area [m]; `heading_rad`: heading of the lines [rad], 0 is the paper's
+    north-south pattern. Result: world x, y [m], inside the bounds.
     """
     west, south, east, north = bounds
     centre = np.array([(west + east) / 2, (south + north) / 2])
@@ -151,21 +111,7 @@ def random_waypoints(
 ) -> list[tuple[float, float]]:
     """Draw points that are uniform in an area.
 
-    Parameters
-    ----------
-    bounds : tuple of float
-        West, south, east, north of the area [m].
-    count : int
-        Number of points.
-    rng : numpy.random.Generator
-        Source of randomness.
-    least_leg_m : float, optional
-        Least distance from one point to the next [m], as far as the bounds allow.
-
-    Returns
-    -------
-    list of tuple of float
-        World x, y [m].
+    `bounds`: west, south, east, north of the area [m]. Result: world x, y [m].
     """
     west, south, east, north = bounds
     least = min(least_leg_m, 0.4 * math.hypot(east - west, north - south))
@@ -186,21 +132,7 @@ def winding(
 ) -> list[tuple[float, float]]:
     """Draw a path of one curve after another, which turns back before the bounds.
 
-    Parameters
-    ----------
-    bounds : tuple of float
-        West, south, east, north of the area [m].
-    length_m : float
-        Length of the path [m].
-    rng : numpy.random.Generator
-        Source of randomness.
-    curvature_per_m : float, optional
-        Root mean square of the curvature [rad/m], which is smooth over 2 m.
-
-    Returns
-    -------
-    list of tuple of float
-        World x, y [m], every 0.25 m.
+    `bounds`: west, south, east, north of the area [m]. Result: world x, y [m], every 0.25 m.
     """
     west, south, east, north = bounds
     x, y = float(rng.uniform(west, east)), float(rng.uniform(south, north))
@@ -260,19 +192,7 @@ def _track_heading(x: FloatArray, y: FloatArray) -> FloatArray:
 def smooth_noise(rng: np.random.Generator, n: int, sigma: float) -> FloatArray:
     """Draw smooth Gaussian noise of unit variance.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-    n : int
-        Number of samples.
-    sigma : float
-        Standard deviation of the Gaussian that smooths white noise [samples].
-
-    Returns
-    -------
-    ndarray of float64, (n,)
-        The noise.
+    `sigma`: standard deviation of the Gaussian that smooths white noise [samples]. The result is (n,).
     """
     pad = _pad(sigma)
     rough = rng.standard_normal(n + 2 * pad)

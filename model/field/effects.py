@@ -82,18 +82,7 @@ class Ride:
         return gaussian_filter1d(np.degrees(self.motion.pitch_rad), 0.4 / STEP_M, mode="nearest")
 
     def along_path(self, per_metre: FloatArray) -> FloatArray:
-        """Integrate a quantity over the path from the start.
-
-        Parameters
-        ----------
-        per_metre : ndarray of float64, (n,)
-            The quantity per metre.
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            The integral up to each station.
-        """
+        """Integrate a quantity over the path from the start. `per_metre` is (n,). The result is (n,)."""
         return np.cumsum(per_metre * np.diff(self.path_m, prepend=self.path_m[0]))
 
 
@@ -113,116 +102,37 @@ class Effect:
     unit: ClassVar[str] = ""
 
     def on_site(self, site: Site) -> Site:
-        """Return the site as this effect changes it.
-
-        Parameters
-        ----------
-        site : Site
-            The site.
-
-        Returns
-        -------
-        Site
-            The same site, or a changed one.
-        """
+        """Return the site as this effect changes it."""
         return site
 
     def on_robot(self, robot: FieldRobot, conditions: Conditions) -> FieldRobot:
-        """Return the robot as this effect changes it.
-
-        Parameters
-        ----------
-        robot : FieldRobot
-            The robot.
-        conditions : Conditions
-            The conditions of the run.
-
-        Returns
-        -------
-        FieldRobot
-            The same robot, or a changed one.
-        """
+        """Return the robot as this effect changes it."""
         return robot
 
     def on_drive(self, drive: Drive, conditions: Conditions) -> Drive:
-        """Return the drive as this effect changes it.
-
-        Parameters
-        ----------
-        drive : Drive
-            The drive.
-        conditions : Conditions
-            The conditions of the run.
-
-        Returns
-        -------
-        Drive
-            The same drive, or a changed one.
-        """
+        """Return the drive as this effect changes it."""
         return drive
 
     def force_n(self, ride: Ride) -> FloatArray | float:
-        """Return the extra force against the motion.
-
-        Parameters
-        ----------
-        ride : Ride
-            The drive in progress.
-
-        Returns
-        -------
-        ndarray of float64, (n,), or float
-            Force at the wheels [N].
-        """
+        """Return the extra force against the motion. Result (n,): force at the wheels [N]."""
         return 0.0
 
     def wheels_w(self, ride: Ride, wheels_w: FloatArray) -> FloatArray:
         """Return the power of both drives as this effect changes it.
 
-        Parameters
-        ----------
-        ride : Ride
-            The drive in progress.
-        wheels_w : ndarray of float64, (n,)
-            Power of both drives without it [W].
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Power of both drives [W].
+        `wheels_w` (n,): power of both drives without it [W]. Result (n,): power of both drives [W].
         """
         return wheels_w
 
     def power_w(self, ride: Ride, power_w: FloatArray) -> FloatArray:
         """Return the power at the battery as this effect changes it.
 
-        Parameters
-        ----------
-        ride : Ride
-            The drive in progress.
-        power_w : ndarray of float64, (n,)
-            Power at the battery without it [W].
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Power at the battery [W].
+        `power_w` (n,): power at the battery without it [W]. Result (n,): power at the battery [W].
         """
         return power_w
 
     def standing_w(self, power_w: float) -> float:
-        """Return the power at the battery during a halt as this effect changes it.
-
-        Parameters
-        ----------
-        power_w : float
-            Power without it [W].
-
-        Returns
-        -------
-        float
-            Power [W].
-        """
+        """Return the power at the battery during a halt as this effect changes it. Result: power [W]."""
         return power_w
 
     def reading(self) -> float:
@@ -232,15 +142,7 @@ class Effect:
     def amount(self, ride: Ride) -> FloatArray | None:
         """Return what the effect is measured by, cumulated along the path.
 
-        Parameters
-        ----------
-        ride : Ride
-            The drive in progress.
-
-        Returns
-        -------
-        ndarray of float64, (n,), or None
-            None for an effect that has no such measure.
+        Result (n,): None for an effect that has no such measure.
         """
         return None
 
@@ -261,11 +163,6 @@ class Within(Effect):
         grade_deg, speed_mps or temperature_c.
     above, below : float
         Ends of the range, in the quantity's unit.
-
-    Raises
-    ------
-    InputError
-        If the range is empty.
     """
 
     effect: Effect
@@ -280,18 +177,7 @@ class Within(Effect):
             object.__setattr__(self, key, getattr(self.effect, key))
 
     def acting(self, ride: Ride) -> NDArray[np.bool_]:
-        """Return where the effect acts.
-
-        Parameters
-        ----------
-        ride : Ride
-            The drive in progress.
-
-        Returns
-        -------
-        ndarray of bool, (n,)
-            True where the quantity lies in the range.
-        """
+        """Return where the effect acts. Result (n,): True where the quantity lies in the range."""
         value = {
             "grade_deg": lambda: ride.grade_deg,
             "speed_mps": lambda: ride.drive.speed_mps,

@@ -45,22 +45,7 @@ class Pack:
 
     @classmethod
     def of(cls, robot: FieldRobot, *, charge: float = 0.95, temperature_c: float = 18.0) -> Pack:
-        """Return the pack that the declared robot's voltage and energy suggest, with 4 % sag at a one-hour discharge.
-
-        Parameters
-        ----------
-        robot : FieldRobot
-            The robot.
-        charge : float, optional
-            State of charge at the start, 0 to 1.
-        temperature_c : float, optional
-            Temperature of the pack [degC].
-
-        Returns
-        -------
-        Pack
-            The pack.
-        """
+        """Return the pack that the declared voltage and energy suggest, with 4 % sag at a one-hour discharge."""
         nominal = robot.declared.nominal_voltage_v
         capacity = robot.declared.battery_wh / nominal
         return cls(nominal, capacity, 0.04 * nominal / capacity, charge, temperature_c)
@@ -69,17 +54,7 @@ class Pack:
 def open_circuit_v(pack: Pack, charge: float) -> float:
     """Return the voltage without load: 0.84 of nominal when empty, 1.15 when full, flat between.
 
-    Parameters
-    ----------
-    pack : Pack
-        The battery.
-    charge : float
-        State of charge, 0 to 1.
-
-    Returns
-    -------
-    float
-        Voltage [V].
+    Result: voltage [V].
     """
     return float(_open_circuit(pack.nominal_v, charge))
 
@@ -87,21 +62,8 @@ def open_circuit_v(pack: Pack, charge: float) -> float:
 def wheel_power_w(motion: Motion, robot: FieldRobot, speed_mps: FloatArray, curvature: FloatArray) -> FloatArray:
     """Return the electrical power of both drives, without the idle power.
 
-    Parameters
-    ----------
-    motion : Motion
-        Forces at the wheels of each side.
-    robot : FieldRobot
-        The robot as it truly is.
-    speed_mps : ndarray of float64, (n,)
-        Speed [m/s].
-    curvature : ndarray of float64, (n,)
-        Curvature of the path, > 0 to the right [rad/m].
-
-    Returns
-    -------
-    ndarray of float64, (n,)
-        Power [W].
+    `speed_mps` (n,): speed [m/s]; `curvature` (n,): curvature of the path, > 0 to the right [rad/m]. Result (n,): power
+    [W].
     """
     power = np.zeros_like(speed_mps)
     for force, sign in ((motion.force_left_n, 1.0), (motion.force_right_n, -1.0)):
@@ -117,24 +79,7 @@ def wheel_power_w(motion: Motion, robot: FieldRobot, speed_mps: FloatArray, curv
 def terminals(power_w: FloatArray, duration_s: FloatArray, pack: Pack) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return what is measured at the terminals while power is drawn step by step.
 
-    Parameters
-    ----------
-    power_w : ndarray of float64, (n,)
-        Power of each step [W].
-    duration_s : ndarray of float64, (n,)
-        Duration of each step [s].
-    pack : Pack
-        The battery at the start.
-
-    Returns
-    -------
-    tuple of ndarray, (n,)
-        Voltage [V], current [A] and state of charge (0 to 1).
-
-    Raises
-    ------
-    InputError
-        If the battery cannot deliver the power, or becomes empty.
+    `power_w` (n,); `duration_s` (n,). Result (n,): voltage [V], current [A] and state of charge (0 to 1).
     """
     warm = pack.resistance_ohm * math.exp(0.02 * (25.0 - pack.temperature_c))
     voltage, current, charge = _terminals(
@@ -161,21 +106,8 @@ def motor_temperature_c(
 ) -> FloatArray:
     """Return the temperature of the motor housing: two fifths of the power become heat, time constant four minutes.
 
-    Parameters
-    ----------
-    power_w : ndarray of float64, (n,)
-        Power of the drives in each step [W].
-    duration_s : ndarray of float64, (n,)
-        Duration of each step [s].
-    ambient_c : float
-        Temperature of the air [degC].
-    kelvin_per_w : float, optional
-        Thermal resistance from motor to air [K/W].
-
-    Returns
-    -------
-    ndarray of float64, (n,)
-        Temperature [degC].
+    `power_w` (n,): power of the drives in each step [W]; `duration_s` (n,): duration of each step [s]. Result (n,):
+    temperature [degC].
     """
     return _warmth(
         np.ascontiguousarray(power_w), np.ascontiguousarray(duration_s), ambient_c, 0.4 * kelvin_per_w, 240.0

@@ -112,27 +112,7 @@ EFFECT_NAMES = tuple(_DRAWS)
 
 
 def draw_effect(name: str, rng: np.random.Generator, robot: FieldRobot) -> Effect:
-    """Draw the strength of an effect.
-
-    Parameters
-    ----------
-    name : str
-        One of `EFFECT_NAMES`.
-    rng : numpy.random.Generator
-        Source of randomness.
-    robot : FieldRobot
-        The robot that is affected.
-
-    Returns
-    -------
-    Effect
-        The effect.
-
-    Raises
-    ------
-    NotFoundError
-        For another name.
-    """
+    """Draw the strength of an effect. Raises NotFoundError for another name."""
     if name not in _DRAWS:
         near = nearest_name(name, EFFECT_NAMES)
         hint = f"did you mean {near}?" if near else f"known are {', '.join(EFFECT_NAMES)}"
@@ -141,20 +121,7 @@ def draw_effect(name: str, rng: np.random.Generator, robot: FieldRobot) -> Effec
 
 
 def day_for(effects: Sequence[Effect], rng: np.random.Generator) -> Day:
-    """Draw a day on which effects can be observed: cold for stiff grease, windy for air drag, otherwise any day.
-
-    Parameters
-    ----------
-    effects : sequence of Effect
-        The effects.
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    Day
-        Its weather.
-    """
+    """Draw a day on which effects can be observed: cold for stiff grease, windy for air drag, otherwise any day."""
     day = Day.drawn(rng)
     names = {effect.name for effect in effects}
     if ColdGrease.name in names:
@@ -174,26 +141,7 @@ def conditions_for(
     *,
     payload_logged: bool,
 ) -> Conditions:
-    """Return the conditions of a run with a payload, if that is among the effects.
-
-    Parameters
-    ----------
-    effects : sequence of Effect
-        The effects.
-    conditions : Conditions
-        The conditions without a payload.
-    robot : FieldRobot
-        The robot; a payload is up to about a third of its mass.
-    rng : numpy.random.Generator
-        Source of randomness.
-    payload_logged : bool
-        Whether the log records the payload.
-
-    Returns
-    -------
-    Conditions
-        The conditions of the run.
-    """
+    """Return the conditions of a run with a payload, if that is among the effects."""
     if not any(isinstance(effect, Payload) for effect in effects):
         return conditions
     carried = round(float(rng.choice([0.0, rng.uniform(0.1, 0.35)], p=[0.25, 0.75])) * robot.mass_kg, 1)

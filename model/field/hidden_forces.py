@@ -51,14 +51,12 @@ class Turning(Effect):
 class AirDrag(Effect):
     """Drag of the air, by its speed relative to the moving robot.
 
+    F = 0.5 rho c A |v| v_ahead, with rho = 1.2 kg/m3 and v the speed of the air relative to the robot.
+
     Attributes
     ----------
     drag_area_m2 : float
         Drag coefficient times area [m2].
-
-    Notes
-    -----
-    F = 0.5 rho c A |v| v_ahead, with rho = 1.2 kg/m3 and v the speed of the air relative to the robot.
     """
 
     drag_area_m2: float
@@ -168,6 +166,8 @@ class Acceleration(Effect):
 class ColdGrease(Effect):
     """Grease that stiffens in the cold, exponentially.
 
+    F / weight = share (exp((warm_c - T) / scale_k) - 1) / (exp(warm_c / scale_k) - 1), negative above `warm_c`.
+
     Attributes
     ----------
     share : float
@@ -176,10 +176,6 @@ class ColdGrease(Effect):
         Temperature at which there is no drag [degC].
     scale_k : float
         The drag grows by a factor e over this many kelvin.
-
-    Notes
-    -----
-    F / weight = share (exp((warm_c - T) / scale_k) - 1) / (exp(warm_c / scale_k) - 1), negative above `warm_c`.
     """
 
     share: float
@@ -200,14 +196,12 @@ class ColdGrease(Effect):
 class SideSlip(Effect):
     """Wet ground on which tyres slip sideways across a slope.
 
+    F = weight |sin(roll)| slip, with slip = |sin(roll)| / grip, at most 0.8.
+
     Attributes
     ----------
     grip : float
         Side force over weight and slip.
-
-    Notes
-    -----
-    F = weight |sin(roll)| slip, with slip = |sin(roll)| / grip, at most 0.8.
     """
 
     grip: float

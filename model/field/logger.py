@@ -114,18 +114,7 @@ class RunLog:
     terrain: NDArray[np.str_]
 
     def write_csv(self, path: str | Path) -> Path:
-        """Write the log in the run format; a NaN becomes a blank.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-
-        Returns
-        -------
-        Path
-            The file.
-        """
+        """Write the log in the run format; a NaN becomes a blank."""
         texts = []
         for name in COLUMNS:
             if name == "terrain":
@@ -152,41 +141,7 @@ def simulate_run(
     effects: Sequence[Effect] = (),
     conditions: Conditions | None = None,
 ) -> RunLog:
-    """Drive over a site and log it.
-
-    Parameters
-    ----------
-    site : Site
-        The site.
-    robot : FieldRobot
-        The robot as it truly is.
-    drive : Drive
-        The path.
-    rng : numpy.random.Generator
-        Source of all noise.
-    logger : Logger, optional
-        How accurately the robot is recorded.
-    pack : Pack, optional
-        The battery at the start.
-    start_s : float, optional
-        Time stamp of the first row [s], without conditions.
-    effects : sequence of Effect, optional
-        Hidden effects.
-    conditions : Conditions, optional
-        The conditions of the run.
-
-    Returns
-    -------
-    RunLog
-        The log.
-
-    Raises
-    ------
-    InputError
-        If the battery cannot deliver what the drive needs.
-    PointError
-        If a wheel would leave the terrain.
-    """
+    """Drive over a site and log it."""
     trace = simulate_trace(site, robot, drive, rng=rng, effects=effects, conditions=conditions)
     gain = math.prod(effect.reading() for effect in effects)
     return log_trace(
@@ -214,39 +169,7 @@ def log_trace(
     conditions: Conditions | None = None,
     current_gain: float = 1.0,
 ) -> RunLog:
-    """Log a trace.
-
-    Parameters
-    ----------
-    trace : Trace
-        What truly happened.
-    robot : FieldRobot
-        The robot as it truly is.
-    rng : numpy.random.Generator
-        Source of all noise.
-    logger : Logger, optional
-        How accurately the robot is recorded.
-    pack : Pack, optional
-        The battery at the start; drawn or from the conditions by default.
-    terrain : str or ndarray of str, (n,), optional
-        What the operator calls the ground, one word for all stations or for each.
-    start_s : float, optional
-        Time stamp of the first row [s]; conditions state their own.
-    conditions : Conditions, optional
-        The conditions of the run.
-    current_gain : float, optional
-        Factor on the logged current.
-
-    Returns
-    -------
-    RunLog
-        The log.
-
-    Raises
-    ------
-    InputError
-        If the battery cannot deliver what the drive needs.
-    """
+    """Log a trace. `terrain` is (n,)."""
     logger = logger or Logger()
     if conditions is not None:
         start_s = conditions.start_s

@@ -16,26 +16,7 @@ PATTERNS = ("lawnmower", "waypoints", "winding")
 
 
 def drive_of(pattern: str, site: Site, robot: FieldRobot, length_m: float, rng: np.random.Generator) -> Drive:
-    """Draw a drive at the robot's declared speed.
-
-    Parameters
-    ----------
-    pattern : str
-        One of `PATTERNS`.
-    site : Site
-        The site.
-    robot : FieldRobot
-        The robot.
-    length_m : float
-        Length of the drive, within a few per cent [m].
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    Drive
-        The path as driven.
-    """
+    """Draw a drive at the robot's declared speed."""
     west, south, east, north = site.drivable
     inside = (west + 1.0, south + 1.0, east - 1.0, north - 1.0)
     if pattern == "lawnmower":

@@ -72,32 +72,7 @@ def move(
 ) -> Motion:
     """Drive over the stations of a path, quasi-statically.
 
-    Parameters
-    ----------
-    terrain : Heightmap
-        The true terrain.
-    mu_factor : Heightmap
-        Factor on the ground's rolling loss from place to place.
-    ground : Ground
-        The ground.
-    robot : FieldRobot
-        The robot as it truly is.
-    x, y : ndarray of float64, (n,)
-        World positions [m].
-    heading_rad : ndarray of float64, (n,)
-        Headings [rad].
-    speed_mps : ndarray of float64, (n,)
-        Speeds [m/s].
-
-    Returns
-    -------
-    Motion
-        Pose, forces and loads.
-
-    Raises
-    ------
-    PointError
-        If a wheel would leave the terrain.
+    `x`, `y` (n,): world positions [m]; `heading_rad` (n,); `speed_mps` (n,): speeds [m/s].
     """
     z, pitch, roll, left, right, loads = _move(
         terrain.heights,

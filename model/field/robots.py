@@ -48,11 +48,6 @@ class FieldRobot:
         Distance over which wheels, chassis and speed controller smooth the force [m].
     regeneration : float
         Share of the power pushed back that returns to the battery, 0 to 1.
-
-    Raises
-    ------
-    RobotError
-        If a value is not positive, or an efficiency is above 1.
     """
 
     declared: Robot
@@ -83,18 +78,7 @@ class FieldRobot:
 
     @classmethod
     def nominal(cls, declared: Robot) -> FieldRobot:
-        """Return the robot whose hidden parameters are the usual ones.
-
-        Parameters
-        ----------
-        declared : Robot
-            What the owner's file says.
-
-        Returns
-        -------
-        FieldRobot
-            The middle of what `drawn` draws.
-        """
+        """Return the robot whose hidden parameters are the usual ones."""
         weight = declared.weight_n
         return cls(
             declared=declared,
@@ -112,20 +96,7 @@ class FieldRobot:
 
     @classmethod
     def drawn(cls, declared: Robot, rng: np.random.Generator) -> FieldRobot:
-        """Draw a robot whose hidden parameters lie around those of `nominal`.
-
-        Parameters
-        ----------
-        declared : Robot
-            What the owner's file says.
-        rng : numpy.random.Generator
-            Source of randomness.
-
-        Returns
-        -------
-        FieldRobot
-            The robot.
-        """
+        """Draw a robot whose hidden parameters lie around those of `nominal`."""
         base = cls.nominal(declared)
 
         def _spread(value: float, share: float) -> float:
@@ -150,18 +121,7 @@ class FieldRobot:
 
     @classmethod
     def random(cls, rng: np.random.Generator) -> FieldRobot:
-        """Draw any robot of 12 to 130 kg, hidden parameters included, for pre-training.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Source of randomness.
-
-        Returns
-        -------
-        FieldRobot
-            The robot.
-        """
+        """Draw any robot of 12 to 130 kg, hidden parameters included, for pre-training."""
         mass = float(np.clip(35.0 * math.exp(0.6 * rng.standard_normal()), 12.0, 130.0))
         size = (mass / 35.0) ** (1.0 / 3.0)
         length = 0.60 * size * math.exp(0.15 * rng.standard_normal())

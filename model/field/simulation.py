@@ -70,15 +70,7 @@ class Trace:
     def energy_j(self, power_w: FloatArray | None = None) -> FloatArray:
         """Return the energy since the start; the power of a station holds over the step that ends there.
 
-        Parameters
-        ----------
-        power_w : ndarray of float64, (n,), optional
-            Another power than that at the battery [W].
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Energy [J].
+        `power_w` (n,): another power than that at the battery [W]. Result (n,): energy [J].
         """
         power = self.power_w if power_w is None else power_w
         return np.cumsum(power * np.diff(self.t, prepend=self.t[0]))
@@ -135,30 +127,7 @@ def simulate_trace(
 ) -> Trace:
     """Drive over the true terrain of a site, with hidden effects if there are any.
 
-    Parameters
-    ----------
-    site : Site
-        The site.
-    robot : FieldRobot
-        The robot as it truly is.
-    drive : Drive
-        The path.
-    rng : numpy.random.Generator
-        Source of the spread of the power.
-    effects : sequence of Effect, optional
-        Hidden effects.
-    conditions : Conditions, optional
-        The conditions of the run.
-
-    Returns
-    -------
-    Trace
-        What truly happened, without halts.
-
-    Raises
-    ------
-    PointError
-        If a wheel would leave the terrain.
+    Result: what truly happened, without halts.
     """
     ride, wheels = take_ride(site, robot, drive, effects=effects, conditions=conditions)
     _, explained = take_ride(
@@ -192,25 +161,7 @@ def take_ride(
 ) -> tuple[Ride, FloatArray]:
     """Drive, and return the power of both drives before the losses that an effect adds to it.
 
-    Parameters
-    ----------
-    site : Site
-        The site.
-    robot : FieldRobot
-        The robot as it truly is.
-    drive : Drive
-        The path.
-    effects : sequence of Effect, optional
-        Hidden effects.
-    conditions : Conditions, optional
-        The conditions of the run.
-
-    Returns
-    -------
-    ride : Ride
-        The drive in progress.
-    wheels_w : ndarray of float64, (n,)
-        Power of both drives [W].
+    Returns `ride`: the drive in progress; `wheels_w` (n,): power of both drives [W].
     """
     conditions = conditions or Conditions()
     for effect in effects:
@@ -239,44 +190,12 @@ def take_ride(
 def simulate_segments(
     site: Site, robot: FieldRobot, drive: Drive, *, rng: np.random.Generator, max_driven_m: float = 1.05
 ) -> TrueSegments:
-    """Simulate a drive and return its true segments: many exact ones quickly, without a logger.
-
-    Parameters
-    ----------
-    site : Site
-        The site.
-    robot : FieldRobot
-        The robot as it truly is.
-    drive : Drive
-        The path.
-    rng : numpy.random.Generator
-        Source of the spread of the power.
-    max_driven_m : float, optional
-        Segments driven longer than this (turns) are left out [m].
-
-    Returns
-    -------
-    TrueSegments
-        The segments.
-    """
+    """Simulate a drive and return its true segments: many exact ones quickly, without a logger."""
     return true_segments(simulate_trace(site, robot, drive, rng=rng), max_driven_m=max_driven_m)
 
 
 def with_halts(trace: Trace, halts: Halts) -> Trace:
-    """Return the same drive with halts, each of which adds a station.
-
-    Parameters
-    ----------
-    trace : Trace
-        The drive without halts.
-    halts : Halts
-        Where the robot halts, and for how long.
-
-    Returns
-    -------
-    Trace
-        The drive with halts.
-    """
+    """Return the same drive with halts, each of which adds a station."""
     after, waited = halts.stations, halts.waited_s(trace.t.size + 1)
     columns = {}
     for item in fields(Trace):
@@ -299,19 +218,7 @@ def with_halts(trace: Trace, halts: Halts) -> Trace:
 def segment_gains(trace: Trace, *cumulated: FloatArray, length_m: float = 1.0) -> list[FloatArray]:
     """Return how much cumulated quantities grow over consecutive segments.
 
-    Parameters
-    ----------
-    trace : Trace
-        The drive, of n stations.
-    *cumulated : ndarray of float64, (n,)
-        Quantities cumulated along the path.
-    length_m : float, optional
-        Length of a segment [m].
-
-    Returns
-    -------
-    list of ndarray
-        For each quantity its growth per segment.
+    `*cumulated` (n,): quantities cumulated along the path.
     """
     at = _cut(trace.x, trace.y, length_m)  # fractional station of every end
     station = np.arange(trace.x.size, dtype=np.float64)
@@ -319,27 +226,7 @@ def segment_gains(trace: Trace, *cumulated: FloatArray, length_m: float = 1.0) -
 
 
 def true_segments(trace: Trace, *, length_m: float = 1.0, max_driven_m: float = 1.05) -> TrueSegments:
-    """Cut a trace into consecutive segments whose ends have a given horizontal distance.
-
-    Parameters
-    ----------
-    trace : Trace
-        The drive.
-    length_m : float, optional
-        Straight distance between the ends of a segment [m].
-    max_driven_m : float, optional
-        Segments driven longer than this (turns) are left out, for length_m = 1 [m].
-
-    Returns
-    -------
-    TrueSegments
-        The segments.
-
-    Raises
-    ------
-    InputError
-        If `length_m` is not positive.
-    """
+    """Cut a trace into consecutive segments whose ends have a given horizontal distance."""
     if length_m <= 0:
         raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=length_m)
     at = _cut(trace.x, trace.y, length_m)

@@ -76,55 +76,20 @@ class Site:
         return west + _MARGIN_M, south + _MARGIN_M, east - _MARGIN_M, north - _MARGIN_M
 
     def words_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.str_]:
-        """Return what the operator calls the ground.
-
-        Parameters
-        ----------
-        x, y : array_like
-            World points [m], of any shape.
-
-        Returns
-        -------
-        ndarray of str
-            Words in the shape of the points.
-        """
+        """Return what the operator calls the ground. `x`, `y`: world points [m], of any shape."""
         if self.word_map is None:
             return np.full(np.broadcast(x, y).shape, self.ground.name)
         return np.where(self.word_map.sample(x, y) < 0.5, *self.words)
 
     def with_words(self, words: tuple[str, str], rng: np.random.Generator) -> Site:
-        """Return this site with two names for the ground, in areas of about 10 m; the ground itself is unchanged.
-
-        Parameters
-        ----------
-        words : tuple of str
-            The two names.
-        rng : numpy.random.Generator
-            Source of the areas.
-
-        Returns
-        -------
-        Site
-            The site.
-        """
+        """Return this site with two names for the ground, in areas of about 10 m; the ground itself is unchanged."""
         frame = self.mu_factor.frame
         noise = gaussian_filter(rng.standard_normal(frame.shape), 5.0 / _SOIL_M, mode="nearest")
         share = np.asarray(noise > np.quantile(noise, rng.uniform(0.35, 0.65)), dtype=np.float32)
         return replace(self, words=words, word_map=Heightmap(share, frame))
 
     def with_rolling_loss(self, factor: NDArray[np.float64]) -> Site:
-        """Return this site with another rolling loss.
-
-        Parameters
-        ----------
-        factor : ndarray of float64
-            Factor for each cell of `mu_factor`.
-
-        Returns
-        -------
-        Site
-            The site.
-        """
+        """Return this site with another rolling loss."""
         times = np.asarray(factor, dtype=np.float32)
         return replace(
             self,
@@ -187,24 +152,7 @@ _PLASTIC = 1.324717957244746  # the plastic ratio, x**3 = x + 1
 def named_site(name: str, *, seed: int = 0, width_m: float = 60.0, height_m: float = 40.0) -> Site:
     """Return a named site; the same name and seed always give the same site.
 
-    Parameters
-    ----------
-    name : str
-        grass_a, grass_b or dirt. grass_b is another meadow than grass_a, softer or firmer depending on the seed.
-    seed : int, optional
-        Seed of everything random.
-    width_m, height_m : float, optional
-        Size of the site, east and north [m].
-
-    Returns
-    -------
-    Site
-        The site.
-
-    Raises
-    ------
-    NotFoundError
-        For another name.
+    `width_m`, `height_m`: size of the site, east and north [m]. Raises NotFoundError for another name.
     """
     if name not in _NAMED:
         raise NotFoundError(f"there is no simulated site {name!r}; known are {', '.join(_NAMED)}", name=name)
@@ -222,24 +170,7 @@ def random_site(
     size_m: float = 30.0,
     survey: SurveyQuality | None = None,
 ) -> Site:
-    """Draw a site for pre-training: ground, relief, roughness and survey.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-    max_slope_deg : float, optional
-        Steepest slope that a site may have [deg].
-    size_m : float, optional
-        Side of the site [m].
-    survey : SurveyQuality, optional
-        How well it is surveyed; by default a survey by scanner is drawn, with cells of 0.05 to 1 m.
-
-    Returns
-    -------
-    Site
-        The site.
-    """
+    """Draw a site for pre-training: ground, relief, roughness and survey."""
     slope = max_slope_deg * float(rng.uniform(0.1, 1.0))
     rough = math.exp(0.6 * rng.standard_normal())
     tilt = slope * float(rng.uniform(0.0, 0.6))
@@ -279,15 +210,7 @@ def _random_scan(rng: np.random.Generator) -> SurveyQuality:
 def random_survey(rng: np.random.Generator) -> SurveyQuality:
     """Draw a survey as somebody may have made it: half of them by scanner, the others with up to 160 mm of noise.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    SurveyQuality
-        Of a quarter of the noisy ones the noise is alike over up to 1 m; some heights are rounded.
+    Of a quarter of the noisy ones the noise is alike over up to 1 m; some heights are rounded.
     """
     quality = _random_scan(rng)
     if rng.random() < _SHARP:
@@ -302,18 +225,7 @@ def random_survey(rng: np.random.Generator) -> SurveyQuality:
 
 
 def random_ground(rng: np.random.Generator) -> Ground:
-    """Draw a ground around those of `GROUNDS`.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    Ground
-        The ground.
-    """
+    """Draw a ground around those of `GROUNDS`."""
     base = list(GROUNDS.values())[int(rng.integers(len(GROUNDS)))]
     return replace(
         base,
@@ -334,33 +246,7 @@ def make_site(
     rng: np.random.Generator,
     survey: SurveyQuality,
 ) -> Site:
-    """Build the terrain, the maps of rolling loss, and the survey.
-
-    Parameters
-    ----------
-    name : str
-        Name of the site.
-    relief : Relief
-        Shape of the terrain.
-    ground : Ground
-        What it is made of.
-    frame : GridFrame
-        Where the true terrain lies.
-    rng : numpy.random.Generator
-        Source of randomness.
-    survey : SurveyQuality
-        How well it is surveyed.
-
-    Returns
-    -------
-    Site
-        The site.
-
-    Raises
-    ------
-    HeightmapError
-        If the survey is finer than the terrain.
-    """
+    """Build the terrain, the maps of rolling loss, and the survey."""
     seen = Heightmap(_relief(relief, frame, rng), frame, f"simulated {name}")
     surveyed = degrade(seen, survey, rng=rng)
     finer = fractal(frame, rng, exponent=2.0, rms_m=1.0, longest_m=0.35)

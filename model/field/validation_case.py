@@ -133,31 +133,7 @@ def make_validation_case(
 ) -> CaseTruth:
     """Write the folder of a case and return its truth; the same arguments give the same files.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the effects' strength and of the runs that have them.
-    effects : sequence of str or Effect
-        Names of `hidden_draws`, or effects as they are.
-    out : str or Path
-        The folder.
-    site_seed : int, optional
-        Seed of sites, robot and baseline runs.
-    without_effects : str or Path, optional
-        Another folder: the runs of new/ and other_site/ are also written there as they would have been without the
-        effects.
-
-    Returns
-    -------
-    CaseTruth
-        What the case hides.
-
-    Raises
-    ------
-    NotFoundError
-        If an effect is unknown.
-    InputError
-        If the folder holds runs already.
+    Raises NotFoundError if an effect is unknown.
     """
     out = Path(out)
     if any(out.glob("*/*.csv")):
@@ -191,20 +167,7 @@ def make_validation_case(
 
 
 def write_baseline(site_seed: int, out: str | Path) -> Path:
-    """Write dem.tif, robot.toml and base/ of a site: a day without effects, about 4,400 m.
-
-    Parameters
-    ----------
-    site_seed : int
-        Seed of sites, robot and baseline runs.
-    out : str or Path
-        The folder.
-
-    Returns
-    -------
-    Path
-        The folder.
-    """
+    """Write dem.tif, robot.toml and base/ of a site: a day without effects, about 4,400 m."""
     home, _, robot = place(site_seed)
     rng = np.random.default_rng([site_seed, 3])
     out = Path(out)
@@ -232,18 +195,7 @@ def write_baseline(site_seed: int, out: str | Path) -> Path:
 
 @lru_cache(maxsize=2)
 def place(site_seed: int) -> tuple[Site, Site, FieldRobot]:
-    """Return two sites of one ground, 60 x 40 m with slopes up to 5 to 12 degrees, and the robot that drives there.
-
-    Parameters
-    ----------
-    site_seed : int
-        Seed of both.
-
-    Returns
-    -------
-    tuple
-        The home site, the other site, and the robot.
-    """
+    """Return two sites of one ground, 60 x 40 m with slopes up to 5 to 12 degrees, and the robot that drives there."""
     rng = np.random.default_rng([site_seed, 1])
     robot = FieldRobot.random(rng)
     declared = replace(

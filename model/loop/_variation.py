@@ -7,10 +7,8 @@ outliers get Huber's weights, and `u_run` the level of a run in shares of the pr
 the autoregression has a free level of every run, so that runs that differ do not look like serial correlation. Tests
 take it out of the rows (`whitened`); coefficients are fitted to rows that are scaled only (Liang & Zeger 1986).
 
-References
-----------
-Pinheiro & Bates 2000, "Mixed-Effects Models in S and S-PLUS", chapter 5 (variance functions, correlation structures).
-Harvey 1989, "Forecasting, Structural Time Series Models and the Kalman Filter", chapter 3. Huber 1964.
+Reference: Pinheiro & Bates 2000, "Mixed-Effects Models in S and S-PLUS", chapter 5 (variance functions, correlation
+structures). Harvey 1989, "Forecasting, Structural Time Series Models and the Kalman Filter", chapter 3. Huber 1964.
 """
 
 from __future__ import annotations

@@ -67,16 +67,8 @@ class Calibration:
     def confirmed(self, state: str = "after") -> bool | None:
         """Return whether left-out and test runs are predicted better than before; if not, nobody should change models.
 
-        Parameters
-        ----------
-        state : {"after", "proposed"}
-            With the log of a run, or with what is proposed for plans.
-
-        Returns
-        -------
-        bool or None
-            By the root mean square error, which is less by more than one standard error on left-out runs; None where
-            every run had a part in the calibration.
+        Result: by the root mean square error, which is less by more than one standard error on left-out runs; None
+        where every run had a part in the calibration.
         """
         judged = [errors for errors in (self.errors, self.test_errors) if errors is not None]
         better = all(errors[state]["rmse"] < errors["before"]["rmse"] for errors in judged)
@@ -96,37 +88,11 @@ class Calibration:
         return self.fitted.effects
 
     def errors_on(self, others: Residuals, *, elsewhere: bool = False) -> dict[str, Any]:
-        """Return the errors on other runs of the same meter, which had no part in this calibration.
-
-        Parameters
-        ----------
-        others : Residuals
-            Against the same base model.
-        elsewhere : bool
-            Whether they were driven on another map.
-
-        Returns
-        -------
-        dict
-            As `errors`.
-        """
+        """Return the errors on other runs of the same meter, which had no part in this calibration."""
         return {key: errors_of(others, energy) for key, energy in self.states(others, elsewhere=elsewhere).items()}
 
     def states(self, others: Residuals, *, elsewhere: bool = False) -> dict[str, FloatArray]:
-        """Return the predictions for other runs, by state.
-
-        Parameters
-        ----------
-        others : Residuals
-            Against the same base model.
-        elsewhere : bool
-            Whether they were driven on another map.
-
-        Returns
-        -------
-        dict of str to ndarray of float, (n,)
-            As `held_out`.
-        """
+        """Return the predictions for other runs, by state. The result is (n,)."""
         states = self.fitted.states(others, elsewhere=elsewhere)
         states["after"] = self.levels["after"].factor * states["after"]
         states["proposed"] = self.levels["proposed"].factor * states[self.proposal]
@@ -143,31 +109,7 @@ def calibrate(
     cross_validate: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Find the effects that the base model lacks on new runs.
-
-    Parameters
-    ----------
-    measured : Residuals
-        Of the new runs against the base model.
-    electric : mapping, optional
-        Mean voltage, current and power of each row, (n,), which no effect may copy.
-    base : Residuals, optional
-        Of the baseline runs: what they show as well is not new.
-    test : Residuals, optional
-        Of test runs, which are predicted only.
-    groups : sequence of str, optional
-        Of each run, such as its day: groups are left out together. Without it every run is a group.
-    cross_validate : bool
-        Repeat the whole procedure without each group for the errors. Otherwise they are those of the fit, as `folds` 0
-        says.
-    progress : callable, optional
-        Called with the share of the work that is done, 0..1.
-
-    Returns
-    -------
-    Calibration
-        With no effects where none is significant.
-    """
+    """Find the effects that the base model lacks on new runs."""
     if base is not None and base.charge != measured.charge:
         base = None  # amperes and joules cannot be compared
     refused, own_fold = refused_columns(measured, electric or {}), measured.folds(groups)

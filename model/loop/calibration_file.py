@@ -22,24 +22,8 @@ FORMAT = 3
 def save_calibrated(folder: str | Path, correction: Correction, base: Mapping[str, Any]) -> str:
     """Write `calibration.json` into a folder that has none.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Of the calibrated model; it is made if needed.
-    correction : Correction
-        What is added to the base model.
-    base : mapping
-        What the base model is, and where.
-
-    Returns
-    -------
-    str
-        The version: the first 16 hex digits of the SHA-256 of the content.
-
-    Raises
-    ------
-    ConflictError
-        If there is a calibration already.
+    Result: the version: the first 16 hex digits of the SHA-256 of the content. Raises ConflictError if there is a
+    calibration already.
     """
     path = Path(folder) / CALIBRATION_FILE
     if path.exists():
@@ -54,20 +38,7 @@ def save_calibrated(folder: str | Path, correction: Correction, base: Mapping[st
 def read_calibrated(folder: str | Path) -> tuple[Correction, dict[str, Any], str]:
     """Read `calibration.json` of a folder.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Of the calibrated model.
-
-    Returns
-    -------
-    tuple of (Correction, dict, str)
-        The correction, the base model as given to `save_calibrated`, and the version.
-
-    Raises
-    ------
-    ModelError
-        If the file cannot be read, or was changed after it was written.
+    Result: the correction, the base model as given to `save_calibrated`, and the version.
     """
     path = Path(folder) / CALIBRATION_FILE
     try:

@@ -19,22 +19,9 @@ __all__ = ["ALPHA", "report_document"]
 def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:
     """Return the report of a calibration.
 
-    Parameters
-    ----------
-    found : Calibration
-        What was found.
-    before : mapping
-        Provenance of the base model.
-    after : str, optional
-        Version of the calibrated model.
-
-    Returns
-    -------
-    dict
-        JSON-able. `base_parameters` are what the runs say of the declared values. `effects` are the missing effects.
-        `error` has the states before, corrected (with the base parameters), after, and after_planner (with what is
-        known before a drive), each of procedures that had no part of the run; `validation` says of which. `confirmed`
-        is as `Calibration.confirmed`. `variation` is what no effect explains.
+    Result: `error` has the states before, corrected (with the base parameters), after, and after_planner (with what is
+    known before a drive), each of procedures that had no part of the run; `validation` says of which. `base_parameters`
+    are what the runs say of the declared values.
     """
     fitted, moving = found.fitted, found.residuals.moving
     segments = int(moving.sum())

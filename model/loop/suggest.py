@@ -69,34 +69,7 @@ def suggest_drive(
 ) -> Suggestion:
     """Return the best of a few hundred simple routes for the coefficients of an effect.
 
-    Parameters
-    ----------
-    residuals : Residuals
-        Of the runs so far.
-    effect : Form
-        To measure.
-    rivals : sequence of Form
-        With which it is confounded; they are fitted along.
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        That will drive.
-    traction : callable
-        (x, y, heading) -> traction [J/m], NaN where driving is not allowed.
-    length_m : float
-        Approximate length that there is time for [m].
-    seed : int
-        Of places and headings.
-
-    Returns
-    -------
-    Suggestion
-        The one of smallest `shrinkage`.
-
-    Raises
-    ------
-    InfeasibleError
-        If no route fits on the known ground.
+    `traction`: (x, y, heading) -> traction [J/m], NaN where driving is not allowed.
     """
     rng = np.random.default_rng(seed)
     count = len(effect.coefficient_names())

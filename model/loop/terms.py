@@ -31,18 +31,7 @@ class Term:
     coefficients: tuple[float, ...]
 
     def energy(self, rows: Features) -> FloatArray:
-        """Return the energy that it adds to each row.
-
-        Parameters
-        ----------
-        rows : Features
-            Of n rows.
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Energy [J], or charge [A s].
-        """
+        """Return the energy that it adds to each row. Result (n,): energy [J], or charge [A s]."""
         return self.form.columns(rows) @ np.asarray(self.coefficients)
 
     @property
@@ -146,18 +135,8 @@ class Correction:
     def added_energy(self, rows: Features, *, planned: bool) -> FloatArray:
         """Return the energy that is added to rows, by all terms or by those of plans.
 
-        Parameters
-        ----------
-        rows : Features
-            Of n rows, with its drives.
-        planned : bool
-            By what is known before a drive.
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Energy [J], or charge [A s], of rows that are held within the ranges and have the base parameters in their
-            energy of motion. Of plans with `alone` it is all of the energy.
+        Result (n,): energy [J], or charge [A s], of rows that are held within the ranges and have the base parameters
+        in their energy of motion.
         """
         terms = self.planner_terms if planned else self.terms
         first = self.first_base
@@ -193,15 +172,7 @@ class Correction:
     def beyond(self, rows: Features) -> dict[str, float]:
         """Return which quantities of some rows are outside the ranges of the runs.
 
-        Parameters
-        ----------
-        rows : Features
-            Of n rows.
-
-        Returns
-        -------
-        dict of str to float
-            Share of the rows whose value lies beyond, by quantity that an effect depends on; only shares above 0.
+        Result: share of the rows whose value lies beyond, by quantity that an effect depends on; only shares above 0.
         """
         used = {name for term in self.planner_terms for name in term.form.covariates}
         names = sorted({"speed", "grade", *used} & set(self.ranges))
@@ -216,19 +187,9 @@ def _total(terms: Sequence[Term], rows: Features) -> FloatArray:
 def turning_per_rad(terms: Sequence[Term], rows: Features) -> float:
     """Return the cost of a radian of turning in plans.
 
-    Parameters
-    ----------
-    terms : sequence of Term
-        Of which those of turning count.
-    rows : Features
-        As driven.
-
-    Returns
-    -------
-    float
-        Cost [J/rad, or A s/rad]: the slope of the energy of turning, beyond that of going straight on, over the angle
-        that each row turned, in least squares. Turns beyond the driven range are left out: a log may not show the peak
-        of power of one on the spot.
+    Result: cost [J/rad, or A s/rad]: the slope of the energy of turning, beyond that of going straight on, over the
+    angle that each row turned, in least squares. Turns beyond the driven range are left out: a log may not show the
+    peak of power of one on the spot.
     """
     moving = rows.take(~rows.standing)
     rows = moving.take(moving.turned_abs_rad <= np.quantile(moving.turned_abs_rad, 1.0 - SHARE_DRIVEN))

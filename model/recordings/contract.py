@@ -49,30 +49,14 @@ class Recording(Protocol):
     def messages(self, wanted: Wanted) -> Iterator[tuple[Topic, float, Any]]:
         """Return the messages of some topics.
 
-        Parameters
-        ----------
-        wanted : callable
-            Takes a topic, and is true for those whose messages are read. Topics that are not readable are left out.
-
-        Yields
-        ------
-        tuple of (Topic, float, object)
-            Topic, time of recording [s since 1970], and the message: an object with its fields, or a dict.
+        Yields: topic, time of recording [s since 1970], and the message: an object with its fields, or a dict.
         """
 
 
 def topics_in_words(topics: dict[str, Topic]) -> str:
     """Return the topics of a recording for a message.
 
-    Parameters
-    ----------
-    topics : dict of str to Topic
-        By name.
-
-    Returns
-    -------
-    str
-        Their names, the first ones of many, and what cannot be read with its encoding.
+    Result: their names, the first ones of many, and what cannot be read with its encoding.
     """
     names = [name if topic.readable else f"{name} ({topic.encoding})" for name, topic in sorted(topics.items())]
     return ", ".join(names)[:300] or "none"

@@ -17,39 +17,12 @@ _KINDS = (
 
 
 def is_recording(head: bytes) -> bool:
-    """Decide whether a file is a recording.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-
-    Returns
-    -------
-    bool
-        True for MCAP, ROS 1 bags and ROS 2 bags in SQLite.
-    """
+    """Decide whether a file is a recording. Result: True for MCAP, ROS 1 bags and ROS 2 bags in SQLite."""
     return any(recognise(head, "") for recognise, _ in _KINDS)
 
 
 def open_recording(source: SourceFile) -> AbstractContextManager[Recording]:
-    """Open a recording of any kind.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-
-    Returns
-    -------
-    context manager
-        Of the open recording.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
+    """Open a recording of any kind."""
     for recognise, opener in _KINDS:
         if recognise(source.head, source.name):
             return opener(source)

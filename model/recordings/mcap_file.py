@@ -21,37 +21,13 @@ _READ = ("cdr", "ros1", "json", "protobuf")
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark at the start of the file.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for an MCAP recording.
-    """
+    """Decide by the mark at the start of the file."""
     return head.startswith(_MAGIC)
 
 
 @contextmanager
 def open_mcap(source: SourceFile) -> Iterator[Recording]:
-    """Open a recording. One that was cut off is read to its last whole record.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-
-    Yields
-    ------
-    Recording
-        With the topics of its summary.
-    """
+    """Open a recording. One that was cut off is read to its last whole record."""
     with source.open() as stream:
         yield _Recording(stream, source)
 

@@ -14,17 +14,7 @@ from joulemap.model.source_file import SourceFile
 def on_disk(source: SourceFile, suffix: str = "") -> Iterator[Path]:
     """Give a file a place on disk, for libraries that read nothing else.
 
-    Parameters
-    ----------
-    source : SourceFile
-        A file, or its bytes.
-    suffix : str, optional
-        Ending of the name that the library wants.
-
-    Yields
-    ------
-    Path
-        The file; a copy of bytes, or a link to a file with another ending, is gone afterwards.
+    Yields: the file; a copy of bytes, or a link to a file with another ending, is gone afterwards.
     """
     if isinstance(source.place, Path) and source.place.name.endswith(suffix):
         yield source.place

@@ -17,37 +17,13 @@ _MAGIC = b"#ROSBAG V"
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark at the start of the file.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for a ROS 1 bag.
-    """
+    """Decide by the mark at the start of the file."""
     return head.startswith(_MAGIC)
 
 
 @contextmanager
 def open_ros1(source: SourceFile) -> Iterator[Recording]:
-    """Open a bag. One without an index is read from start to end.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-
-    Yields
-    ------
-    Recording
-        With its topics.
-    """
+    """Open a bag. One without an index is read from start to end."""
     with source.open() as stream:
         if not has_index(stream, source.size_bytes):
             yield UnindexedBag(stream, source.size_bytes)

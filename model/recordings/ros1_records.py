@@ -1,8 +1,6 @@
 """ROS 1 bags without an index, because they were cut off or never closed: their records from start to end.
 
-References
-----------
-ROS wiki, Bags/Format/2.0.
+Reference: ROS wiki, Bags/Format/2.0.
 """
 
 from __future__ import annotations
@@ -25,22 +23,7 @@ Fields = dict[str, bytes]
 
 
 class UnindexedBag:
-    """A bag that is read record by record.
-
-    Parameters
-    ----------
-    stream : BinaryIO
-        The file.
-    size : int
-        Its length [bytes].
-
-    Attributes
-    ----------
-    topics : dict of str to Topic
-        Those that were met so far.
-    notes : list of str
-        Where it ends.
-    """
+    """A bag that is read record by record. `size`: its length [bytes]."""
 
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self.topics: dict[str, Topic] = {}
@@ -48,18 +31,7 @@ class UnindexedBag:
         self._stream, self._size = stream, size
 
     def messages(self, wanted: Wanted) -> Iterator[tuple[Topic, float, Any]]:
-        """Return the messages of some topics.
-
-        Parameters
-        ----------
-        wanted : callable
-            As in `Recording`.
-
-        Yields
-        ------
-        tuple of (Topic, float, object)
-            As `Recording` has it.
-        """
+        """Return the messages of some topics."""
         read: dict[bytes, tuple[Topic, Callable[[bytes], Any] | None]] = {}
         for fields, data in self._all():
             code = _code(fields)
@@ -109,22 +81,7 @@ def _records_in(unpacked: bytes, at: int) -> Iterator[tuple[Fields, bytes]]:
 def has_index(stream: BinaryIO, size: int) -> bool:
     """Decide whether a bag has its whole index: the records of all connections and chunks, with which it ends.
 
-    Parameters
-    ----------
-    stream : BinaryIO
-        The file.
-    size : int
-        Its length [bytes].
-
-    Returns
-    -------
-    bool
-        False for a bag that was cut off or not closed.
-
-    Raises
-    ------
-    ValueError
-        If its first record is no header of a bag.
+    `size`: its length [bytes]. Result: False for a bag that was cut off or not closed.
     """
     stream.seek(0)
     stream.readline(100)
@@ -140,25 +97,7 @@ def has_index(stream: BinaryIO, size: int) -> bool:
 
 
 def unpacked_chunk(compression: str, data: bytes) -> bytes:
-    """Return the content of a chunk.
-
-    Parameters
-    ----------
-    compression : str
-        none, bz2 or lz4.
-    data : bytes
-        As it is in the file.
-
-    Returns
-    -------
-    bytes
-        At most `LARGEST_CHUNK`.
-
-    Raises
-    ------
-    ValueError
-        If it is larger, or the compression is not known.
-    """
+    """Return the content of a chunk."""
     import lz4.frame
 
     if compression == "none":

@@ -22,37 +22,13 @@ _LARGEST_MESSAGE = 1 << 26
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark of SQLite.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for a database of SQLite.
-    """
+    """Decide by the mark of SQLite."""
     return head.startswith(_MAGIC)
 
 
 @contextmanager
 def open_sqlite(source: SourceFile) -> Iterator[Recording]:
-    """Open a bag.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-
-    Yields
-    ------
-    Recording
-        With its topics.
-    """
+    """Open a bag."""
     _check_length(source)
     with (
         on_disk(source) as path,

@@ -28,33 +28,14 @@ _LARGEST_RATIO, _ALWAYS_BYTES, _LARGEST_BYTES = 50, 10_000_000, 4_000_000_000
 
 
 def is_split(place: Path) -> bool:
-    """Decide whether a folder is a ROS 2 bag.
-
-    Parameters
-    ----------
-    place : Path
-        Of anything.
-
-    Returns
-    -------
-    bool
-        True where its metadata.yaml says so.
-    """
+    """Decide whether a folder is a ROS 2 bag. Result: True where its metadata.yaml says so."""
     return place.is_dir() and (place / METADATA).is_file() and head_of(place).startswith(_MARK)
 
 
 def head_of(place: Path) -> bytes:
     """Return the first bytes by which a recording is recognised.
 
-    Parameters
-    ----------
-    place : Path
-        A file, or the folder of a bag.
-
-    Returns
-    -------
-    bytes
-        Of the file, or of the folder's metadata.yaml; 512 at most.
+    Result: of the file, or of the folder's metadata.yaml; 512 at most.
     """
     with (place / METADATA if place.is_dir() else place).open("rb") as stream:
         return stream.read(_HEAD_BYTES)
@@ -63,17 +44,7 @@ def head_of(place: Path) -> bytes:
 def recognise(head: bytes, name: str) -> bool:
     """Decide by the mark of an archive, or by the first line of the folder's metadata.yaml.
 
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Of the file, which says whether something compressed is an archive.
-
-    Returns
-    -------
-    bool
-        True where `parts_of` is to look for the bag's files.
+    Result: True where `parts_of` is to look for the bag's files.
     """
     packed = head.startswith(_GZIP) and name.lower().endswith((".tar.gz", ".tgz"))
     return head.startswith((_MARK, _ZIP)) or head[_TAR_AT:].startswith(_TAR) or packed
@@ -81,25 +52,7 @@ def recognise(head: bytes, name: str) -> bool:
 
 @contextmanager
 def parts_of(source: SourceFile) -> Iterator[list[SourceFile]]:
-    """Give the files of a bag.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The folder, its metadata.yaml, or an archive.
-
-    Yields
-    ------
-    list of SourceFile
-        In the order of their numbers. What an archive was unpacked to is gone afterwards.
-
-    Raises
-    ------
-    InputError
-        If there is none, or if they are compressed one by one.
-    TooLargeError
-        If an archive unpacks to more than the limit.
-    """
+    """Give the files of a bag. What an archive was unpacked to is gone afterwards."""
     if source.head.startswith(_MARK):
         if not isinstance(source.place, Path):
             raise InputError(

@@ -6,34 +6,12 @@ from typing import Any
 
 
 def short_type(name: str) -> str:
-    """Return a type as ROS 1 writes it.
-
-    Parameters
-    ----------
-    name : str
-        Such as `sensor_msgs/msg/Imu`.
-
-    Returns
-    -------
-    str
-        Such as `sensor_msgs/Imu`.
-    """
+    """Return a type as ROS 1 writes it."""
     return name.replace("/msg/", "/")
 
 
 def full_type(kind: str) -> str:
-    """Return a type as rosbags writes it.
-
-    Parameters
-    ----------
-    kind : str
-        Such as `sensor_msgs/Imu`.
-
-    Returns
-    -------
-    str
-        Such as `sensor_msgs/msg/Imu`.
-    """
+    """Return a type as rosbags writes it. Result: such as `sensor_msgs/msg/Imu`."""
     parts = kind.split("/")
     return f"{parts[0]}/msg/{parts[-1]}" if len(parts) == 2 else kind
 
@@ -41,19 +19,7 @@ def full_type(kind: str) -> str:
 def types_of(text: str, kind: str, *, ros1: bool) -> Any:
     """Return a typestore for messages of a type.
 
-    Parameters
-    ----------
-    text : str
-        Its definition as the file has it; empty where the file has none.
-    kind : str
-        The type.
-    ros1 : bool
-        Whether it is one of ROS 1.
-
-    Returns
-    -------
-    Typestore
-        Of rosbags.
+    `text`: its definition as the file has it, empty where the file has none.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -65,18 +31,7 @@ def types_of(text: str, kind: str, *, ros1: bool) -> Any:
 
 
 def fields_of(message: Any) -> list[tuple[str, Any]] | None:
-    """Return the fields of a message.
-
-    Parameters
-    ----------
-    message : object
-        A dict, a message of ROS, or one of Protobuf.
-
-    Returns
-    -------
-    list of (str, object) or None
-        Names and values; None where it is a plain value or a list.
-    """
+    """Return the fields of a message. Result: names and values; None where it is a plain value or a list."""
     if isinstance(message, dict):
         return [(str(key), value) for key, value in message.items()]
     if hasattr(message, "__dataclass_fields__"):

@@ -28,17 +28,7 @@ _FAR_M = {"grass_b": 2e3, "dirt": 4e3, "elsewhere": 1e9}  # added to x: sites ma
 def global_friction(learned: Measured, robot: Robot) -> Prediction:
     """Fit equation 5 with one mu.
 
-    Parameters
-    ----------
-    learned : Measured
-        What to fit to; its straight segments are used.
-    robot : Robot
-        As its file declares it.
-
-    Returns
-    -------
-    callable
-        Predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
+    Result: predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
     """
     here = learned.straight
     traction = (learned.segments.energy_j - robot.hotel_per_m)[here]
@@ -49,17 +39,7 @@ def global_friction(learned: Measured, robot: Robot) -> Prediction:
 def friction_and_weight(learned: Measured, robot: Robot) -> Prediction:
     """Fit equation 5 with the weight too, for a robot of unknown mass or drivetrain: E = a + b tan theta.
 
-    Parameters
-    ----------
-    learned : Measured
-        What to fit to; its straight segments are used.
-    robot : Robot
-        As its file declares it.
-
-    Returns
-    -------
-    callable
-        Predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
+    Result: predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
     """
     grade = _grade(learned)
     known = learned.straight & np.isfinite(grade)
@@ -70,17 +50,7 @@ def friction_and_weight(learned: Measured, robot: Robot) -> Prediction:
 def friction_map(learned: Measured, robot: Robot) -> Prediction:
     """Fit equation 5 with a mu that depends on the place.
 
-    Parameters
-    ----------
-    learned : Measured
-        What to fit to; its straight segments are used.
-    robot : Robot
-        As its file declares it.
-
-    Returns
-    -------
-    callable
-        Predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
+    Result: predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
     """
     s = learned.segments.take(learned.straight)
     process = FrictionMap.fit(
@@ -101,17 +71,7 @@ def friction_map(learned: Measured, robot: Robot) -> Prediction:
 def shape_ridge(learned: Measured, robot: Robot) -> Prediction:
     """Fit the regression on shape features.
 
-    Parameters
-    ----------
-    learned : Measured
-        What to fit to; its straight segments are used.
-    robot : Robot
-        As its file declares it.
-
-    Returns
-    -------
-    callable
-        Predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
+    Result: predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
     """
     s = learned.segments.take(learned.straight)
     model = RidgeBaseline.fit(learned.heightmap, robot, s.x, s.y, s.heading_rad, s.energy_j, run=s.run)
@@ -123,17 +83,7 @@ def shape_ridge(learned: Measured, robot: Robot) -> Prediction:
 def local_friction(test: Measured, robot: Robot) -> FloatArray:
     """Predict each five metres with the friction of the five metres before, run by run.
 
-    Parameters
-    ----------
-    test : Measured
-        The drive to predict.
-    robot : Robot
-        As its file declares it.
-
-    Returns
-    -------
-    ndarray of float64, (n,)
-        Energy [J]; NaN in the first five metres of a run.
+    Result (n,): energy [J]; NaN in the first five metres of a run.
     """
     mu = np.full(len(test.segments), np.nan)
     grade = _grade(test)

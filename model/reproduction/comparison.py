@@ -34,32 +34,7 @@ def compare(
 ) -> dict[str, dict[str, Any]]:
     """Fit every baseline to some runs, and judge the baselines and models by other runs.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        As its file declares it.
-    learned : sequence of Path
-        Logs that the baselines are fitted to.
-    tested : sequence of Path
-        Logs to judge by.
-    tested_heightmap : Heightmap, optional
-        The ground of the tested runs, where they were driven on other ground.
-    models : sequence of Predictor, optional
-        Models to judge beside the baselines.
-
-    Returns
-    -------
-    dict
-        The numbers of `judged` by method, JSON-able.
-
-    Raises
-    ------
-    RunsError
-        If a log cannot be read.
-    InputError
-        If there are too few segments.
+    Result: the numbers of `judged` by method, JSON-able.
     """
     mine = _measured(heightmap, robot, learned, "")
     elsewhere = tested_heightmap is not None

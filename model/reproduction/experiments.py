@@ -27,20 +27,7 @@ _PAPER_SHARE = 3  # a third of a site is trained on
 
 
 def baselines(setting: Setting, seed: int) -> Scores:
-    """Judge physics, friction as a Gaussian process, the regression on shape, and the noise floor on all test sets.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    seed : int
-        Of the field.
-
-    Returns
-    -------
-    Scores
-        Of every method and test set.
-    """
+    """Judge physics, friction as a Gaussian process, the regression on shape, and the noise floor on all test sets."""
     field, scores = Field(setting, seed), Scores()
     for row in ROWS:
         test = field.test(row)
@@ -62,20 +49,7 @@ def baselines(setting: Setting, seed: int) -> Scores:
 
 
 def compact(setting: Setting, seed: int) -> Scores:
-    """Train the compact network from the shipped weights and from scratch, on grass and then on dirt.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    seed : int
-        Of the field.
-
-    Returns
-    -------
-    Scores
-        Of every method and test set.
-    """
+    """Train the compact network from the shipped weights and from scratch, on grass and then on dirt."""
     field, scores = Field(setting, seed), Scores()
     for method, start in (("compact", networks.SHIPPED), ("compact_scratch", None)):
         here = setting.model(method, seed)
@@ -101,22 +75,7 @@ def compact(setting: Setting, seed: int) -> Scores:
 
 
 def resnet(strategy: str, setting: Setting, seed: int) -> Scores:
-    """Train the paper's network in one of its three strategies; the one that the paper finds best goes on to dirt.
-
-    Parameters
-    ----------
-    strategy : str
-        One of `STRATEGIES`.
-    setting : Setting
-        Folder and extent.
-    seed : int
-        Of the field.
-
-    Returns
-    -------
-    Scores
-        Of the strategy.
-    """
+    """Train the paper's network in one of its three strategies; the one that the paper finds best goes on to dirt."""
     field, scores, profile = Field(setting, seed), Scores(), setting.profile
     method = f"resnet_{strategy}"
     here = setting.model(method, seed)
@@ -150,18 +109,6 @@ def map_floor(setting: Setting, seed: int) -> Scores:
     """Estimate what the heightmap contains at all: the compact network with many times the data.
 
     The data are of the same robot on other sites of the test set's own kind, surveyed in the same way.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    seed : int
-        Of the field.
-
-    Returns
-    -------
-    Scores
-        Of every method and test set.
     """
     field, scores, profile = Field(setting, seed, heightmap_from="survey"), Scores(), setting.profile
     paper = len(field.drive("a_lawnmower").segments) // _PAPER_SHARE
@@ -178,18 +125,6 @@ def learning_curve(setting: Setting, seed: int) -> Scores:
     """Judge networks on random drives over sites A and B after some metres of training on site A.
 
     The test sets are called "METRES V-B" and "METRES V-C".
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    seed : int
-        Of the field.
-
-    Returns
-    -------
-    Scores
-        Of every method and test set.
     """
     field, scores = Field(setting, seed), Scores()
     for method, start in (("curve_shipped", networks.SHIPPED), ("curve_scratch", None)):
@@ -213,20 +148,7 @@ def learning_curve(setting: Setting, seed: int) -> Scores:
 
 
 def other_heightmap(setting: Setting, seed: int) -> Scores:
-    """Repeat V-A on the kind of heightmap that the other experiments do not use.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    seed : int
-        Of the field.
-
-    Returns
-    -------
-    Scores
-        Of every method and test set.
-    """
+    """Repeat V-A on the kind of heightmap that the other experiments do not use."""
     kind = setting.other_heightmap
     field, scores = Field(setting, seed, heightmap_from=kind), Scores()
     west, test = field.west("a_lawnmower"), field.test("V-A")
@@ -245,20 +167,7 @@ def other_heightmap(setting: Setting, seed: int) -> Scores:
 
 
 def field_of(setting: Setting, seed: int) -> dict[str, Any]:
-    """Simulate the drives of a seed.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    seed : int
-        Of the field.
-
-    Returns
-    -------
-    dict
-        As `make_field`.
-    """
+    """Simulate the drives of a seed."""
     return make_field(setting.field(seed), seed, setting.profile)
 
 

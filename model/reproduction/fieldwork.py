@@ -49,18 +49,7 @@ _FITTED_REACH_M = 1.6  # a network reads nothing farther from the track
 
 
 def robot_of(seed: int) -> FieldRobot:
-    """Draw the robot of a field.
-
-    Parameters
-    ----------
-    seed : int
-        Of the field.
-
-    Returns
-    -------
-    FieldRobot
-        Its true values are drawn. Its declared mu is what an owner would measure on smooth, level ground of site A.
-    """
+    """Draw the robot of a field. Its declared mu is what an owner would measure on smooth, level ground of site A."""
     rng = np.random.default_rng([seed, 1])
     truth = FieldRobot.drawn(Robot(), rng)
     ground = GROUNDS["grass"]
@@ -71,19 +60,7 @@ def robot_of(seed: int) -> FieldRobot:
 def make_field(folder: Path, seed: int, profile: Profile) -> dict[str, Any]:
     """Simulate all drives of a field and write heightmaps, robot.toml and logs.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder to write.
-    seed : int
-        Of the field.
-    profile : Profile
-        Its extent.
-
-    Returns
-    -------
-    dict
-        JSON-able: `metres` of every drive, and `roughness_m3` of every site's true terrain.
+    Result: JSON-able: `metres` of every drive, and `roughness_m3` of every site's true terrain.
     """
     folder.mkdir(parents=True, exist_ok=True)
     truth = robot_of(seed)
@@ -122,26 +99,7 @@ def make_field(folder: Path, seed: int, profile: Profile) -> dict[str, Any]:
 def read_measured(
     folder: Path, drive: str, robot: Robot, *, heightmap_from: str = "survey", heightmap: Heightmap | None = None
 ) -> Measured:
-    """Read a drive that `make_field` wrote.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the field.
-    drive : str
-        One of `SITE_OF`.
-    robot : Robot
-        As declared.
-    heightmap_from : str, optional
-        One of `HEIGHTMAPS`.
-    heightmap : Heightmap, optional
-        The site's, where it is read already.
-
-    Returns
-    -------
-    Measured
-        The drive.
-    """
+    """Read a drive that `make_field` wrote."""
     site = SITE_OF[drive]
     files = _logs(folder, drive)
     if heightmap is None:
@@ -153,22 +111,7 @@ def read_measured(
 
 
 def read_site_heightmap(folder: Path, site: str, heightmap_from: str) -> Heightmap:
-    """Read a site's survey, or fit a surface to the positions of all drives over it, as in the paper.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the field.
-    site : str
-        One of `SITES`.
-    heightmap_from : str
-        One of `HEIGHTMAPS`.
-
-    Returns
-    -------
-    Heightmap
-        Of the site.
-    """
+    """Read a site's survey, or fit a surface to the positions of all drives over it, as in the paper."""
     survey = read_heightmap(folder / f"{site}.tif")
     if heightmap_from == "survey":
         return survey
@@ -183,22 +126,6 @@ def more_examples(name: str, seed: int, profile: Profile, *, segments: int) -> E
     """Simulate exact segments of this seed's robot on further sites, on their surveys.
 
     Half of them are driven in parallel lines, half between random waypoints, one run per site and kind.
-
-    Parameters
-    ----------
-    name : str
-        Kind of the sites, one of `SITES`.
-    seed : int
-        Of the field.
-    profile : Profile
-        Its extent.
-    segments : int
-        How many, at least.
-
-    Returns
-    -------
-    Examples
-        For the compact network.
     """
     truth = robot_of(seed)
     parts: list[Examples] = []
@@ -231,23 +158,11 @@ def more_examples(name: str, seed: int, profile: Profile, *, segments: int) -> E
 def roughness_m3(terrain: Heightmap) -> float:
     """Compute the roughness of a terrain along north-south lines as ISO 8608 states that of a road.
 
-    Parameters
-    ----------
-    terrain : Heightmap
-        The ground.
+    Result: displacement spectral density at 0.1 cycles/m [m3].
 
-    Returns
-    -------
-    float
-        Displacement spectral density at 0.1 cycles/m [m3].
-
-    Notes
-    -----
     The geometric mean of G(n) (n / 0.1)^2 over wavelengths of 0.5 to 5 m: the fit with the standard's exponent of 2.
 
-    References
-    ----------
-    ISO 8608:2016, "Mechanical vibration - Road surface profiles - Reporting of measured data".
+    Reference: ISO 8608:2016, "Mechanical vibration - Road surface profiles - Reporting of measured data".
     """
     step = terrain.resolution_m
     frequency, density = periodogram(terrain.heights, fs=1.0 / step, window="hann", detrend="linear", axis=0)

@@ -37,20 +37,7 @@ _NAMES = {"compact": "compact", "resnet": "ResNet18", "physics": "friction"}
 
 
 def draw_all(setting: Setting, summary: Summary) -> list[str]:
-    """Draw all figures for which the first seed has results, into the folder's figures/.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    summary : Summary
-        All results.
-
-    Returns
-    -------
-    list of str
-        Names of the files.
-    """
+    """Draw all figures for which the first seed has results, into the folder's figures/."""
     folder = setting.folder / "figures"
     folder.mkdir(parents=True, exist_ok=True)
     drawn = []

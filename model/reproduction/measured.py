@@ -47,20 +47,7 @@ class Measured:
         return np.abs(self.segments.heading_change_rad) < MAX_TURN_RAD
 
     def of_runs(self, first: int, stop: int | None = None) -> Measured:
-        """Return some of the runs, numbered from 0.
-
-        Parameters
-        ----------
-        first : int
-            The first run.
-        stop : int, optional
-            The run after the last one; all by default.
-
-        Returns
-        -------
-        Measured
-            Of these runs.
-        """
+        """Return some of the runs, numbered from 0."""
         runs = self.segments.runs[first:stop]
         mine = (self.segments.run >= first) & (self.segments.run < first + len(runs))
         taken = self.segments.take(mine)
@@ -71,19 +58,10 @@ class Measured:
 def judged(predicted: FloatArray, measured: Measured) -> dict[str, Any]:
     """Judge predictions for a drive.
 
-    Parameters
-    ----------
-    predicted : ndarray of float64, (n,)
-        Energy of every segment [J]; NaN where unknown.
-    measured : Measured
-        The drive.
-
-    Returns
-    -------
-    dict
-        JSON-able. The numbers of `errors` on the straight segments, and straight_route_relative_error. On all segments:
-        route_relative_error of whole runs, site_relative_error of the whole drive, and with_turns, the mean relative
-        error. unknown : number of segments without a prediction.
+    `predicted` (n,): energy of every segment [J], NaN where unknown. Result: the numbers of `errors` on the straight
+    segments, and straight_route_relative_error. On all segments: route_relative_error of whole runs,
+    site_relative_error of the whole drive, and with_turns, the mean relative error. unknown : number of segments
+    without a prediction.
     """
     energy, run = measured.segments.energy_j, measured.segments.run
     known = np.isfinite(predicted)

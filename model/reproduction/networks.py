@@ -45,25 +45,7 @@ def trained_compact(
 ) -> Predictor:
     """Train a compact network as `joulemap train` does, unless it is there already.
 
-    Parameters
-    ----------
-    measured : Measured
-        The training set.
-    robot : Robot
-        As declared.
-    out : Path
-        Folder of the model.
-    start_from : Path, optional
-        A model's folder; None for a fresh network.
-    seed : int
-        Of the training.
-    epochs : int
-        Passes over the data, at most.
-
-    Returns
-    -------
-    Predictor
-        Of the trained network.
+    `start_from`: a model's folder, None for a fresh network.
     """
     if not (out / CONFIG_FILE).exists():
         train_on_runs(
@@ -81,24 +63,7 @@ def trained_compact(
 
 
 def compact_on_more(examples: Examples, *, out: Path, seed: int, epochs: int) -> Predictor:
-    """Train the shipped network on very many segments, unless that is done already.
-
-    Parameters
-    ----------
-    examples : Examples
-        The training set.
-    out : Path
-        Folder of the model.
-    seed : int
-        Of the training.
-    epochs : int
-        Passes over the data, at most.
-
-    Returns
-    -------
-    Predictor
-        Of the trained network.
-    """
+    """Train the shipped network on very many segments, unless that is done already."""
     if not (out / CONFIG_FILE).exists():
         parent = read_artifact(SHIPPED)
         options = TrainingOptions(
@@ -112,19 +77,7 @@ def compact_on_more(examples: Examples, *, out: Path, seed: int, epochs: int) ->
 def pretrained_backbone(out: Path, *, profile: Profile, seed: int) -> Path:
     """Train a backbone on the energy of one nominal robot on random sites, unless it is there already.
 
-    Parameters
-    ----------
-    out : Path
-        Folder to write.
-    profile : Profile
-        Sites, epochs and patch size.
-    seed : int
-        Of sites and training.
-
-    Returns
-    -------
-    Path
-        File of weights with torchvision's names.
+    Result: file of weights with torchvision's names.
     """
     file = out / BACKBONE_FILE
     if file.exists():
@@ -181,39 +134,7 @@ def trained_resnet(
     backbone: Path | None = None,
     start_from: Path | None = None,
 ) -> Predictor:
-    """Train the paper's network with the paper's loss and learning rate, unless it is there already.
-
-    Parameters
-    ----------
-    measured : Measured
-        The training set; its straight segments are used.
-    robot : Robot
-        As declared.
-    out : Path
-        Folder of the model.
-    strategy : str
-        One of `STRATEGIES`.
-    size : int
-        Rows and columns of a patch.
-    epochs : int
-        Passes over the data, at most.
-    seed : int
-        Of the training.
-    backbone : Path, optional
-        File of weights with torchvision's names. All strategies but "scratch" need it.
-    start_from : Path, optional
-        Folder of a trained model to fine-tune instead.
-
-    Returns
-    -------
-    Predictor
-        Of the trained network.
-
-    Raises
-    ------
-    ModelError
-        If the strategy is unknown or a backbone is missing.
-    """
+    """Train the paper's network with the paper's loss and learning rate, unless it is there already."""
     if strategy not in STRATEGIES:
         raise ModelError(f"no training strategy {strategy!r}: known are {', '.join(STRATEGIES)}", name=strategy)
     if not (out / CONFIG_FILE).exists():
@@ -285,38 +206,12 @@ def _resnet(net: Network) -> ResNetEnergy:
 
 
 def predicted_j(predictor: Predictor, measured: Measured, robot: Robot) -> FloatArray:
-    """Predict the energy of every segment of a drive.
-
-    Parameters
-    ----------
-    predictor : Predictor
-        The model.
-    measured : Measured
-        The drive.
-    robot : Robot
-        As declared.
-
-    Returns
-    -------
-    ndarray of float64, (n,)
-        Energy [J]; NaN on unknown ground.
-    """
+    """Predict the energy of every segment of a drive. Result (n,): energy [J]; NaN on unknown ground."""
     return predict_segments(predictor, measured.heightmap, robot, measured.segments).energy_j
 
 
 def described(backbone: Path | None) -> dict[str, Any]:
-    """Say where the backbone of the paper's network comes from.
-
-    Parameters
-    ----------
-    backbone : Path, optional
-        An ImageNet file.
-
-    Returns
-    -------
-    dict
-        One sentence under `backbone`, JSON-able.
-    """
+    """Say where the backbone of the paper's network comes from. Result: one sentence under `backbone`, JSON-able."""
     if backbone is None:
         return {"backbone": "pre-trained on simulated terrain: another robot on random sites (no ImageNet file given)"}
     return {"backbone": f"read from {backbone.name}"}

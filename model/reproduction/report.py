@@ -83,24 +83,7 @@ Against published values:
 
 
 def report(summary: Summary, setting: Mapping[str, Any], *, command: str, figures: Sequence[str]) -> str:
-    """Write the document.
-
-    Parameters
-    ----------
-    summary : Summary
-        All results.
-    setting : mapping
-        As the folder keeps it.
-    command : str
-        The command line that made the results.
-    figures : sequence of str
-        File names in figures/.
-
-    Returns
-    -------
-    str
-        Markdown.
-    """
+    """Write the document."""
     profile = setting["profile"]
     parts = [
         "# Section V of the paper, on simulated sites\n",
@@ -294,20 +277,7 @@ RESULTS_FILE = "results.json"
 
 
 def publish(setting: Setting, *, command: str) -> dict[str, Any]:
-    """Write figures, REPRODUCTION.md and results.json from the results in a folder.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    command : str
-        The command line that made the results.
-
-    Returns
-    -------
-    dict
-        The content of results.json.
-    """
+    """Write figures, REPRODUCTION.md and results.json from the results in a folder."""
     summary = Summary(read_results(setting))
     kept = read_setting(setting.folder)
     figures = draw_all(setting, summary)

@@ -72,22 +72,7 @@ class Task:
 def plan(setting: Setting, *, only: Sequence[str] = ()) -> list[Task]:
     """List all tasks: first those on which others wait, then the long ones.
 
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    only : sequence of str, optional
-        Kinds of experiments; all if empty.
-
-    Returns
-    -------
-    list of Task
-        In order.
-
-    Raises
-    ------
-    InputError
-        If a kind does not exist.
+    `only`: kinds of experiments, all if empty.
     """
     for kind in only:
         if kind not in EXPERIMENTS:
@@ -116,26 +101,7 @@ def run_all(
     progress: Callable[[float], None] | None = None,
     said: Callable[[str], None] | None = None,
 ) -> None:
-    """Run the experiments whose results are not there yet.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    only : sequence of str, optional
-        Kinds of experiments; all if empty.
-    workers : int, optional
-        Processes.
-    progress : callable, optional
-        Gets the share of the work that is done, 0 to 1.
-    said : callable, optional
-        Gets a line of text for every experiment that ends.
-
-    Raises
-    ------
-    InputError
-        If the folder holds a reproduction of another setting, or a kind does not exist.
-    """
+    """Run the experiments whose results are not there yet. `only`: kinds of experiments, all if empty."""
     _claim(setting)
     tasks = plan(setting, only=only)
     whole = sum(task.usual_s for task in tasks)
@@ -167,58 +133,18 @@ def run_all(
 
 
 def result_file(setting: Setting, name: str) -> Path:
-    """Return the file of a task's result. A .npz of the same name holds its predictions.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    name : str
-        `Task.name`.
-
-    Returns
-    -------
-    Path
-        The file.
-    """
+    """Return the file of a task's result. A .npz of the same name holds its predictions."""
     return setting.folder / "results" / f"{name}.json"
 
 
 def read_results(setting: Setting) -> list[dict[str, Any]]:
-    """Read all results of a reproduction.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-
-    Returns
-    -------
-    list of dict
-        Each with kind, seed, seconds, and `methods` or facts.
-    """
+    """Read all results of a reproduction. Result: each with kind, seed, seconds, and `methods` or facts."""
     files = sorted(result_file(setting, "x").parent.glob("*.json"))
     return [json.loads(file.read_text(encoding="utf-8")) for file in files]
 
 
 def read_setting(folder: Path) -> dict[str, Any]:
-    """Read the setting that a folder's reproduction was run with.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the reproduction.
-
-    Returns
-    -------
-    dict
-        As it is kept in the folder.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """Read the setting that a folder's reproduction was run with."""
     try:
         return dict(json.loads((folder / SETTING_FILE).read_text(encoding="utf-8")))
     except OSError as error:

@@ -51,18 +51,7 @@ class Interval:
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Interval:
-        """Compute the interval of some values.
-
-        Parameters
-        ----------
-        values : iterable of float
-            One per seed.
-
-        Returns
-        -------
-        Interval
-            Their mean and interval.
-        """
+        """Compute the interval of some values."""
         numbers = np.asarray(list(values), dtype=np.float64)
         n = int(numbers.size)
         half = float("nan")
@@ -82,18 +71,7 @@ class Interval:
 
 
 class Summary:
-    """All results of a reproduction by method, test set and number.
-
-    Parameters
-    ----------
-    results : sequence of mapping
-        As from `read_results`.
-
-    Attributes
-    ----------
-    facts : dict
-        The results by kind and seed.
-    """
+    """All results of a reproduction by method, test set and number."""
 
     def __init__(self, results: Sequence[Mapping[str, Any]]) -> None:
         self.facts = {(r["kind"], int(r["seed"])): r for r in results}
@@ -109,56 +87,15 @@ class Summary:
         return list(dict.fromkeys(method for method, _ in self._values))
 
     def rows(self, method: str) -> list[str]:
-        """Return the test sets of a method.
-
-        Parameters
-        ----------
-        method : str
-            Its name.
-
-        Returns
-        -------
-        list of str
-            The test sets.
-        """
+        """Return the test sets of a method."""
         return [row for name, row in self._values if name == method]
 
     def seeds(self, method: str, row: str, number: str = "mean_relative_error") -> dict[int, float]:
-        """Return a number of every seed.
-
-        Parameters
-        ----------
-        method : str
-            Its name.
-        row : str
-            The test set.
-        number : str, optional
-            A key of `judged`.
-
-        Returns
-        -------
-        dict of int to float
-            By seed; empty where there is no result.
-        """
+        """Return a number of every seed. Result: by seed; empty where there is no result."""
         return {seed: float(found[number]) for seed, found in self._values.get((method, row), {}).items()}
 
     def interval(self, method: str, row: str, number: str = "mean_relative_error") -> Interval | None:
-        """Return the mean of a number over all seeds.
-
-        Parameters
-        ----------
-        method : str
-            Its name.
-        row : str
-            The test set.
-        number : str, optional
-            A key of `judged`.
-
-        Returns
-        -------
-        Interval, optional
-            None where there is no result.
-        """
+        """Return the mean of a number over all seeds. Result: None where there is no result."""
         values = self.seeds(method, row, number)
         return Interval.of(values.values()) if values else None
 
@@ -168,35 +105,11 @@ class Summary:
         return PAPER_STRATEGY if PAPER_STRATEGY in there or not there else there[0]
 
     def name_of(self, column: str) -> str:
-        """Return the method of a column of the table.
-
-        Parameters
-        ----------
-        column : str
-            One of `METHODS`.
-
-        Returns
-        -------
-        str
-            Its name in the results.
-        """
+        """Return the method of a column of the table."""
         return self.best_resnet() if column == "resnet" else column
 
     def compared(self, row: str, method: str, other: str) -> list[tuple[float, float]]:
-        """Return the mean relative errors of two methods on the same seeds.
-
-        Parameters
-        ----------
-        row : str
-            The test set.
-        method, other : str
-            Their names.
-
-        Returns
-        -------
-        list of (float, float)
-            One pair per seed.
-        """
+        """Return the mean relative errors of two methods on the same seeds."""
         mine, its = self.seeds(method, row), self.seeds(other, row)
         return [(mine[seed], its[seed]) for seed in sorted(mine.keys() & its.keys())]
 
@@ -240,18 +153,7 @@ class Check:
 
 
 def checks(summary: Summary) -> list[Check]:
-    """Compare the results with all expectations for which there are results; means over seeds decide.
-
-    Parameters
-    ----------
-    summary : Summary
-        All results.
-
-    Returns
-    -------
-    list of Check
-        In the order of the report.
-    """
+    """Compare the results with all expectations for which there are results; means over seeds decide."""
     made: list[Check] = []
     for row in ("V-A", "V-B", "V-C"):
         gaps = [100 * (physics - ours) for ours, physics in summary.compared(row, "compact", "physics")]

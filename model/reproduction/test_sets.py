@@ -44,35 +44,11 @@ class Setting:
     weights: Path | None = None
 
     def field(self, seed: int) -> Path:
-        """Return the folder of a seed's heightmaps and logs.
-
-        Parameters
-        ----------
-        seed : int
-            Of the field.
-
-        Returns
-        -------
-        Path
-            The folder.
-        """
+        """Return the folder of a seed's heightmaps and logs."""
         return self.folder / "field" / str(seed)
 
     def model(self, name: str, seed: int) -> Path:
-        """Return the folder of a trained network.
-
-        Parameters
-        ----------
-        name : str
-            Of the network.
-        seed : int
-            Of the field.
-
-        Returns
-        -------
-        Path
-            The folder.
-        """
+        """Return the folder of a trained network."""
         return self.folder / "models" / f"{name}_{seed}"
 
     @property
@@ -82,48 +58,21 @@ class Setting:
 
 
 class Scores:
-    """Errors and predictions of methods.
-
-    Attributes
-    ----------
-    methods : dict
-        The numbers of `judged` by method and test set, JSON-able.
-    arrays : dict of str to ndarray of float64
-        Every prediction [J] by "method/row".
-    """
+    """Errors and predictions of methods. `arrays`: every prediction [J] by "method/row"."""
 
     def __init__(self) -> None:
         self.methods: dict[str, dict[str, Any]] = {}
         self.arrays: dict[str, FloatArray] = {}
 
     def add(self, method: str, row: str, predicted: FloatArray, measured: Measured) -> None:
-        """Judge the predictions of a method on a test set.
-
-        Parameters
-        ----------
-        method : str
-            Its name.
-        row : str
-            The test set, one of `ROWS`.
-        predicted : ndarray of float64, (n,)
-            Energy of every segment [J].
-        measured : Measured
-            The test set's segments.
-        """
+        """Judge the predictions of a method on a test set. `predicted` (n,): energy of every segment [J]."""
         self.methods.setdefault(method, {})[row] = judged(predicted, measured)
         self.arrays[f"{method}/{row}"] = predicted
 
     def add_shifted(self, method: str, predicted: FloatArray, measured: Measured) -> None:
         """Judge predictions after the mean shift of section V-E, e_hat - mean(e_hat) + mean(e).
 
-        Parameters
-        ----------
-        method : str
-            Its name.
-        predicted : ndarray of float64, (n,)
-            Energy of every segment [J].
-        measured : Measured
-            The test set's segments.
+        `predicted` (n,): energy of every segment [J].
         """
         known = np.isfinite(predicted) & measured.straight
         off = float(np.mean(measured.segments.energy_j[known] - predicted[known]))
@@ -131,17 +80,7 @@ class Scores:
 
 
 class Field:
-    """The measured drives of one seed, divided into training and test sets as in the paper.
-
-    Parameters
-    ----------
-    setting : Setting
-        Folder and extent.
-    seed : int
-        Of the field.
-    heightmap_from : str, optional
-        One of `HEIGHTMAPS`; the setting's by default.
-    """
+    """The measured drives of one seed, divided into training and test sets as in the paper."""
 
     def __init__(self, setting: Setting, seed: int, *, heightmap_from: str | None = None) -> None:
         self.folder = setting.field(seed)
@@ -151,18 +90,7 @@ class Field:
         self._kept: dict[str, Measured] = {}
 
     def drive(self, name: str) -> Measured:
-        """Return a whole drive. Drives on one site share their heightmap.
-
-        Parameters
-        ----------
-        name : str
-            One of `SITE_OF`.
-
-        Returns
-        -------
-        Measured
-            The drive.
-        """
+        """Return a whole drive. Drives on one site share their heightmap."""
         if name not in self._kept:
             site = name.split("_")[0]
             known = next((m.heightmap for key, m in self._kept.items() if key.split("_")[0] == site), None)
@@ -170,33 +98,11 @@ class Field:
         return self._kept[name]
 
     def west(self, drive: str) -> Measured:
-        """Return the west third of a drive, the training set.
-
-        Parameters
-        ----------
-        drive : str
-            One of `SITE_OF`.
-
-        Returns
-        -------
-        Measured
-            Its first runs.
-        """
+        """Return the west third of a drive, the training set."""
         return self.drive(drive).of_runs(0, self._west)
 
     def test(self, row: str) -> Measured:
-        """Return a test set.
-
-        Parameters
-        ----------
-        row : str
-            One of `ROWS`.
-
-        Returns
-        -------
-        Measured
-            Its runs.
-        """
+        """Return a test set."""
         if row in ("V-A", "V-D"):
             return self.drive("a_lawnmower").of_runs(self._west)
         if row == "V-E rest":

@@ -26,17 +26,7 @@ _SLOWEST_MPS, _FASTEST_MPS = 0.02, 70.0  # of the path of a vehicle that drives
 def time_unit(values: FloatArray, path_m: float | None) -> tuple[str, str]:
     """Return the unit of stamps that have none.
 
-    Parameters
-    ----------
-    values : ndarray of float, (n,)
-        As logged.
-    path_m : float, optional
-        What was driven meanwhile.
-
-    Returns
-    -------
-    tuple of str
-        The unit, empty for seconds; and why, where it is not that of an epoch.
+    `values` is (n,). Result: the unit, empty for seconds; and why, where it is not that of an epoch.
     """
     known = values[np.isfinite(values)]
     if known.size < 2:
@@ -66,17 +56,8 @@ def time_unit(values: FloatArray, path_m: float | None) -> tuple[str, str]:
 def degrees_unit(target: str, values: FloatArray) -> str:
     """Return the unit of latitudes or longitudes that are no degrees.
 
-    Parameters
-    ----------
-    target : str
-        `lat` or `lon`.
-    values : ndarray of float, (n,)
-        As logged.
-
-    Returns
-    -------
-    str
-        `degE7` for whole numbers of 1e-7 degrees, `ddmm` for degrees and minutes as NMEA writes them; else empty.
+    `values` is (n,). Result: `degE7` for whole numbers of 1e-7 degrees, `ddmm` for degrees and minutes as NMEA writes
+    them; else empty.
     """
     known = np.abs(values[np.isfinite(values) & (values != 0)])
     most = 90.0 if target == "lat" else 180.0
@@ -92,15 +73,7 @@ def degrees_unit(target: str, values: FloatArray) -> str:
 def of_minutes(values: FloatArray) -> FloatArray:
     """Return degrees of numbers such as 3608.09412, which are 36 degrees and 8.09412 minutes.
 
-    Parameters
-    ----------
-    values : ndarray of float, (n,)
-        As NMEA writes them.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Degrees.
+    `values` (n,): as NMEA writes them. The result is (n,).
     """
     whole = np.floor(np.abs(values) / 100.0)
     return np.sign(values) * (whole + (np.abs(values) - 100.0 * whole) / 60.0)
@@ -109,15 +82,8 @@ def of_minutes(values: FloatArray) -> FloatArray:
 def path_of(numbers: Mapping[str, FloatArray]) -> float | None:
     """Return how long the way between positions is, roughly.
 
-    Parameters
-    ----------
-    numbers : mapping of str to ndarray of float, (n,)
-        Columns, of which `x` and `y` [m], or `lat` and `lon` [deg] are used.
-
-    Returns
-    -------
-    float or None
-        In metres, between about a hundred of them, at distances of at least the noise of a receiver; None without any.
+    `numbers` (n,): columns, of which `x` and `y` [m], or `lat` and `lon` [deg] are used. Result: in metres, between
+    about a hundred of them, at distances of at least the noise of a receiver; None without any.
     """
     x, y, _ = _plane(numbers)
     if x.size < 2:
@@ -144,24 +110,8 @@ def _plane(numbers: Mapping[str, FloatArray], t: FloatArray | None = None) -> tu
 def speed_unit(t: FloatArray, speed: FloatArray, numbers: Mapping[str, FloatArray], path_m: float | None) -> str:
     """Return the unit in which a speed agrees with the way that was driven.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Stamps [s].
-    speed : ndarray of float, (n,)
-        As logged.
-    numbers : mapping of str to ndarray of float, (n,)
-        Columns with positions, if there are any.
-    path_m : float, optional
-        The way; used without positions.
+    `t` (n,): stamps [s]; `speed` (n,); `numbers` (n,): columns with positions, if there are any.
 
-    Returns
-    -------
-    str
-        Empty where none does.
-
-    Notes
-    -----
     With positions, speeds over some seconds are compared while the robot moves, because fixes that scatter make a
     longer way.
     """
@@ -192,20 +142,8 @@ def speed_unit(t: FloatArray, speed: FloatArray, numbers: Mapping[str, FloatArra
 def power_unit(power: FloatArray, speed: FloatArray) -> str:
     """Return `kW` for a power that cannot be in watts, because the air takes more at the speed that was driven.
 
-    Parameters
-    ----------
-    power : ndarray of float, (n,)
-        As logged.
-    speed : ndarray of float, (n,)
-        At the same rows [m/s].
+    `power` (n,); `speed` (n,): at the same rows [m/s].
 
-    Returns
-    -------
-    str
-        Empty where it can be in watts, or can be in neither.
-
-    Notes
-    -----
     The air takes rho c_w A v^3 / 2; rho is 1.2 kg/m3, and c_w A at least 0.1 m2, less than that of the best enclosed
     bicycles and solar cars.
     """
@@ -220,19 +158,8 @@ def power_unit(power: FloatArray, speed: FloatArray) -> str:
 def compass(t: FloatArray, angle: FloatArray, numbers: Mapping[str, FloatArray]) -> tuple[FloatArray, str] | None:
     """Return a heading of which neither unit nor direction is known, where it agrees with the way.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Stamps [s].
-    angle : ndarray of float, (n,)
-        As logged.
-    numbers : mapping of str to ndarray of float, (n,)
-        Columns with positions.
-
-    Returns
-    -------
-    tuple of (ndarray of float, str) or None
-        Degrees clockwise from north, and the reading in words; None where no reading agrees within a quarter radian.
+    `t` (n,): stamps [s]; `angle` (n,); `numbers` (n,): columns with positions. Result: degrees clockwise from north,
+    and the reading in words; None where no reading agrees within a quarter radian.
     """
     x, y, _ = _plane(numbers, np.where(np.isfinite(angle), t, np.nan))
     if x.size < 20:

@@ -95,17 +95,7 @@ class ArcTrack:
 def arc_track(run: Run, length_m: float) -> ArcTrack:
     """Return the track of a run.
 
-    Parameters
-    ----------
-    run : Run
-        With positions.
-    length_m : float
-        Of the segments that it will be cut into [m].
-
-    Returns
-    -------
-    ArcTrack
-        Of all its rows between the first and the last usable fix, but those in gaps.
+    Result: of all its rows between the first and the last usable fix, but those in gaps.
     """
     fixes = np.flatnonzero(np.isfinite(run.x) & np.isfinite(run.y))
     between, gap_m = _gaps(run, fixes, length_m)
@@ -139,16 +129,8 @@ def arc_track(run: Run, length_m: float) -> ArcTrack:
 def segment_length(run: Run) -> float:
     """Return the length of segments that the positions of a run can carry.
 
-    Parameters
-    ----------
-    run : Run
-        With positions.
-
-    Returns
-    -------
-    float
-        1 m where nine of ten fixes lie close enough for that, else the distance between fixes that nine of ten do not
-        exceed: a car that is logged once a second has a fix each 10 to 40 m.
+    Result: 1 m where nine of ten fixes lie close enough for that, else the distance between fixes that nine of ten do
+    not exceed: a car that is logged once a second has a fix each 10 to 40 m.
     """
     fixes = np.flatnonzero(np.isfinite(run.x) & np.isfinite(run.y))
     step = np.hypot(np.diff(run.x[fixes]), np.diff(run.y[fixes]))[~run.breaks[fixes][1:]]
@@ -160,20 +142,8 @@ def segment_length(run: Run) -> float:
 def equal_parts(arc_m: FloatArray, gap: BoolArray, stop: BoolArray, length_m: float) -> tuple[FloatArray, list[float]]:
     """Cut every piece of a track into parts of equal arc length.
 
-    Parameters
-    ----------
-    arc_m : ndarray of float, (m,)
-        Driven so far [m].
-    gap, stop : ndarray of bool, (m,)
-        As in `ArcTrack`.
-    length_m : float
-        That the parts are to have; the number of parts of a piece is the nearest whole number, and 0 only for less than
-        half a length.
-
-    Returns
-    -------
-    tuple of (ndarray of float, list of float)
-        Fractional positions of both ends, (n, 2); and the arc lengths of pieces without a part [m].
+    `arc_m` (m,): driven so far [m]; `gap`, `stop` (m,). Result: fractional positions of both ends, (n, 2); and the arc
+    lengths of pieces without a part [m].
     """
     firsts = np.flatnonzero(gap)
     lasts = np.append(firsts[1:], gap.size) - 1
@@ -202,17 +172,8 @@ def equal_parts(arc_m: FloatArray, gap: BoolArray, stop: BoolArray, length_m: fl
 def station_at(arc_m: FloatArray, at_m: FloatArray) -> FloatArray:
     """Return the first fractional positions at which so much was driven.
 
-    Parameters
-    ----------
-    arc_m : ndarray of float, (m,)
-        Driven so far [m].
-    at_m : ndarray of float, (n,)
-        Arc lengths [m] above the first and not above the last.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Fractional positions.
+    `arc_m` (m,): driven so far [m]; `at_m` (n,): arc lengths [m] above the first and not above the last. The result is
+    (n,).
     """
     after = np.clip(np.searchsorted(arc_m, at_m, side="left"), 1, arc_m.size - 1)
     step = arc_m[after] - arc_m[after - 1]
@@ -223,18 +184,8 @@ def station_at(arc_m: FloatArray, at_m: FloatArray) -> FloatArray:
 def arc_headings(run: Run, track: ArcTrack) -> FloatArray:
     """Return where the robot points.
 
-    Parameters
-    ----------
-    run : Run
-        The run.
-    track : ArcTrack
-        Its track.
-
-    Returns
-    -------
-    ndarray of float, (m,)
-        Heading [rad], not wrapped: of the column `heading` where it agrees with the track; otherwise the direction of
-        the track, and, where the robot is too slow to have one, in even steps from that before to that after.
+    Result (m,): heading [rad], not wrapped: of the column `heading` where it agrees with the track; otherwise the
+    direction of the track, and, where the robot is too slow to have one, in even steps from that before to that after.
     """
     filled = on_rows(run, track)
     piece = np.cumsum(track.gap, dtype=np.int64)
@@ -252,17 +203,7 @@ def arc_headings(run: Run, track: ArcTrack) -> FloatArray:
 def on_rows(run: Run, track: ArcTrack) -> Run:
     """Return the run with a position in every row of its track, on straight lines between fixes.
 
-    Parameters
-    ----------
-    run : Run
-        The run.
-    track : ArcTrack
-        Its track.
-
-    Returns
-    -------
-    Run
-        Positions in gaps are NaN.
+    Positions in gaps are NaN.
     """
     fixes = np.flatnonzero(np.isfinite(run.x) & np.isfinite(run.y))
     x, y = np.full((2, len(run)), np.nan)
@@ -275,20 +216,10 @@ def stops_of(
 ) -> tuple[tuple[int, float, float], ...]:
     """Return the stationary intervals of a track.
 
-    Parameters
-    ----------
-    t : ndarray of float, (m,)
-        Stamps of the track [s].
-    gap, stop : ndarray of bool, (m,)
-        As in `ArcTrack`.
-    stamps, power : ndarray of float, (n,)
-        Stamps [s] and power [W], or current [A], of all rows.
-
-    Returns
-    -------
-    tuple of (int, float, float)
-        0, duration [s] and energy of each stop, without its first and last half second. A stop next to a gap does not
-        count, unless the run begins or ends with it: there the positions may have stopped, and not the robot.
+    `t` (m,): stamps of the track [s]; `gap`, `stop` (m,); `stamps`, `power` (n,): stamps [s] and power [W], or current
+    [A], of all rows. Result: 0, duration [s] and energy of each stop, without its first and last half second. A stop
+    next to a gap does not count, unless the run begins or ends with it: there the positions may have stopped, and not
+    the robot.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], stop, [False]]).astype(int)))
     before_gap = np.append(gap[1:], False)
@@ -305,19 +236,8 @@ def stops_of(
 def rows_missing(t: FloatArray, distance_m: FloatArray, length_m: float = 1.0) -> BoolArray:
     """Return where so many rows are missing that too little of a segment is measured.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Stamps [s].
-    distance_m : ndarray of float, (n - 1,)
-        Driven from each to the next [m].
-    length_m : float
-        Of a segment [m].
-
-    Returns
-    -------
-    ndarray of bool, (n - 1,)
-        True where more than one row is missing, and the robot drove more than half a segment or had time to stop.
+    `t` (n,): stamps [s]; `distance_m` (n - 1,): driven from each to the next [m]. Result (n - 1,): True where more than
+    one row is missing, and the robot drove more than half a segment or had time to stop.
     """
     dt = np.diff(t)
     usual = (

@@ -81,29 +81,7 @@ class CalibrationRuns:
 def read_calibration_runs(
     sites: Sequence[Site], *, protocol: Protocol = "track", currents: Currents = "auto"
 ) -> CalibrationRuns:
-    """Read the runs of all sites.
-
-    Parameters
-    ----------
-    sites : sequence of Site
-        Maps, the runs on each, and the robot: segments far above its speed are left out.
-    protocol : {"track", "chords"}
-        As in `cut_segments`.
-    currents : {"auto", "signed", "magnitude"}
-        How the currents of several motors are summed (`joulemap.model.runs.electric`).
-
-    Returns
-    -------
-    CalibrationRuns
-        Of all files. No two different files have the same name.
-
-    Raises
-    ------
-    InputError
-        If there is no site, if a run is given twice, or if the robots of the sites differ.
-    RunsError
-        If there is no run to learn from, if a file is no run, or if only some runs have a voltage.
-    """
+    """Read the runs of all sites. No two different files have the same name."""
     learned = files_of(sites)
     robot = robot_of_all(sites)
     groups = [some for site in sites for some in (site.files, site.baseline_files, site.test_files)]

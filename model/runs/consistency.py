@@ -15,23 +15,7 @@ _FAR_OFF = 100.0  # thousandfold are milliamperes, millivolts and milliseconds; 
 
 
 def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
-    """Refuse runs that cannot have been driven on this heightmap by this robot.
-
-    Parameters
-    ----------
-    segments : Segments
-        Of all runs.
-    heightmap : Heightmap
-        On which they are said to be driven.
-    robot : Robot
-        That is said to have driven.
-
-    Raises
-    ------
-    RunsError
-        If there is no segment, if none lies on the map, or if a metre took a hundred times more or less than this robot
-        needs on level ground.
-    """
+    """Refuse runs that cannot have been driven on this heightmap by this robot."""
     if len(segments) == 0:
         metres = segments.left_out_m
         rules = ", ".join(

@@ -13,15 +13,8 @@ _LONGEST_STEP = 10.0  # usual steps between rows, and 10 s at least: over more n
 def total_of(counter: FloatArray) -> FloatArray:
     """Return what a counter counted since the first row.
 
-    Parameters
-    ----------
-    counter : ndarray of float, (n,)
-        NaN where it was not read. It may fall where energy is fed back, and begin anew.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Without its new beginnings; rising where it fell all the time, as what is left does.
+    `counter` (n,): NaN where it was not read. Result (n,): without its new beginnings; rising where it fell all the
+    time, as what is left does.
     """
     known = np.flatnonzero(np.isfinite(counter))
     out = np.full(counter.size, np.nan)
@@ -40,18 +33,8 @@ def total_of(counter: FloatArray) -> FloatArray:
 def rate_of(t: FloatArray, total: FloatArray) -> FloatArray:
     """Return how fast a total rises, so that straight lines between rows have its sum.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Stamps [s].
-    total : ndarray of float, (n,)
-        As `total_of` returns it.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Per second, between rows at which the counter changes; NaN before the first and after the last row that is
-        known, and where stamps do not rise.
+    `t` (n,): stamps [s]; `total` (n,): as `total_of` returns it. Result (n,): per second, between rows at which the
+    counter changes; NaN before the first and after the last row that is known, and where stamps do not rise.
     """
     known = np.isfinite(t) & np.isfinite(total)
     rows = np.flatnonzero(known)
@@ -71,17 +54,8 @@ def rate_of(t: FloatArray, total: FloatArray) -> FloatArray:
 def summed(t: FloatArray, speed: FloatArray) -> FloatArray:
     """Return the distance that a speed makes.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Stamps [s].
-    speed : ndarray of float, (n,)
-        Its sign does not count [m/s]; NaN where it was not read.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        From the first row [m]; NaN in rows without a time.
+    `t` (n,): stamps [s]; `speed` (n,): its sign does not count [m/s], NaN where it was not read. Result (n,): from the
+    first row [m]; NaN in rows without a time.
     """
     known = np.flatnonzero(np.isfinite(t) & np.isfinite(speed))
     out = np.full(t.size, np.nan)

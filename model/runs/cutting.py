@@ -17,9 +17,7 @@ roll. What the robot draws does not decide.
 Of chords only: bent, whose track is much longer than their straight length; slow, which took much longer than usual in
 their run; not_positive, whose measured energy is not above zero.
 
-References
-----------
-Wei & Isler 2022, section V.
+Reference: Wei & Isler 2022, section V.
 """
 
 from __future__ import annotations
@@ -85,34 +83,7 @@ def cut_segments(
     protocol: Protocol = "track",
     max_speed_mps: float = math.inf,
 ) -> Segments:
-    """Cut a run into segments.
-
-    Parameters
-    ----------
-    run : Run
-        With positions.
-    length_m : float, optional
-        Nominal length of a segment [m]. Without it, 1 m, or more where the distance between fixes is larger
-        (`joulemap.model.runs.arcs.segment_length`); of chords 1 m.
-    charge : bool
-        Integrate the current alone [A s], for logs without a voltage.
-    protocol : {"track", "chords"}
-        Along the track, so that every metre counts; or chords of exactly `length_m`, as in the paper.
-    max_speed_mps : float
-        A segment faster than this is left out: the robot was carried, or its positions wander.
-
-    Returns
-    -------
-    Segments
-        In driving order.
-
-    Raises
-    ------
-    InputError
-        If the length is not positive, or there is no such protocol.
-    RunsError
-        If the run has no voltage and `charge` is False.
-    """
+    """Cut a run into segments. `charge`: integrate the current alone [A s], for logs without a voltage."""
     if length_m is not None and not (math.isfinite(length_m) and length_m > 0):
         raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=str(length_m))
     if protocol not in get_args(Protocol):

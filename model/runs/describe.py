@@ -23,23 +23,8 @@ def describe_segments(
 ) -> tuple[Features, FloatArray]:
     """Return the features of segments, and after them those of the stationary intervals.
 
-    Parameters
-    ----------
-    segments : Segments
-        Measured.
-    heightmap : Heightmap
-        On which they were driven.
-    robot : Robot
-        That drove.
-    traction_per_m : array_like, (n,)
-        Of the base model [J/m].
-    with_stationary : bool
-        Add the stationary intervals.
-
-    Returns
-    -------
-    tuple of (Features, ndarray of float)
-        The features; and the measured energy of each row [J, or A s].
+    `traction_per_m` (n,): of the base model [J/m]. Result: the features; and the measured energy of each row [J, or A
+    s].
     """
     n = len(segments)
     first = np.array([segments.t0[segments.run == k].min(initial=math.inf) for k in range(len(segments.runs))])
@@ -92,27 +77,8 @@ def planned_features(
 ) -> Features:
     """Return the features of straight 1 m segments at cruising speed that were not driven yet.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        That will drive.
-    x, y : ndarray of float, (n,)
-        Middles [m].
-    heading_rad : ndarray of float, (n,)
-        Headings [rad].
-    traction_per_m : array_like, (n,)
-        Of the base model [J/m].
-    conditions : mapping
-        Logged columns as expected.
-    with_ground : bool
-        Read slopes, roughness and heights, which takes most of the time; otherwise they are NaN.
-
-    Returns
-    -------
-    Features
-        Of one run.
+    `x`, `y` (n,): middles [m]; `heading_rad` (n,); `traction_per_m` (n,): of the base model [J/m]; `with_ground`: read
+    slopes, roughness and heights, which takes most of the time, otherwise they are NaN.
     """
     n = x.size
     zero = np.zeros(n)

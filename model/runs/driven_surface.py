@@ -66,40 +66,9 @@ def driven_surface(
 ) -> DrivenSurface:
     """Fit a heightmap to the positions of runs that are in one frame.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        With the column `z`, the height of the antenna or the sensor [m].
-    resolution_m : float, optional
-        Side of a cell [m].
-    smoothing_m : float, optional
-        As `fit_surface` [m].
-    max_gap_m : float, optional
-        Ground farther than this from a driven position is unknown [m].
-    antenna_height_m : float, optional
-        Height of `z` above the ground [m]. It shifts the whole map, which changes no energy.
-    crs : str, optional
-        Coordinate reference system of the positions.
+    `runs`: with the column `z`, the height of the antenna or the sensor [m].
 
-    Returns
-    -------
-    DrivenSurface
-        The heightmap, and how well it fits.
-
-    Raises
-    ------
-    InputError
-        If there is no run.
-    RunsError
-        If a run has no heights.
-    HeightmapError
-        If there are too few positions, or a length is not positive.
-    TooLargeError
-        If the positions spread too far.
-
-    References
-    ----------
-    Wei & Isler 2022, section IV-B: "we fit a surface with the GPS positions along the trajectory".
+    Reference: Wei & Isler 2022, section IV-B: "we fit a surface with the GPS positions along the trajectory".
     """
     if not runs:
         raise InputError("there is no run to make a heightmap of")

@@ -45,33 +45,9 @@ def electric(
 ) -> tuple[FloatArray, FloatArray | None, FloatArray | None, Currents | None, bool]:
     """Return current, voltage and power without spikes and blanks, and take their columns out of `numbers`.
 
-    Parameters
-    ----------
-    numbers : dict of str to ndarray of float, (n,)
-        Columns of a log: `power`, or `current`, or several `current_*` (also `left_current` and `right_current`);
-        `voltage` is optional.
-    t : ndarray of float, (n,)
-        Stamps [s].
-    name : str
-        Of the run, for messages.
-    repairs : dict
-        Counts by rule, which are added to.
-    currents : {"auto", "signed", "magnitude"}
-        How several currents are summed; "auto" as described above.
-
-    Returns
-    -------
-    tuple of (ndarray of float, ndarray of float or None, ndarray of float or None, str or None, bool)
-        Current [A], NaN where only power was logged; voltage [V] and power [W], None where they were not logged, (n,)
-        each; how several currents of which some are negative were summed, None where the log leaves no choice; and
-        whether the current is a sum of several.
-
-    Raises
-    ------
-    RunsError
-        If there is neither a power nor a current, or one is mostly blank.
-    InputError
-        If there is no such way to sum currents.
+    `numbers` (n,); `t` (n,): stamps [s]. Result: current [A], NaN where only power was logged; voltage [V] and power
+    [W], None where they were not logged, (n,) each; how several currents of which some are negative were summed, None
+    where the log leaves no choice; and whether the current is a sum of several.
     """
     if currents not in get_args(Currents):
         raise InputError(f"currents are summed as {', '.join(get_args(Currents))}, not {currents!r}", currents=currents)

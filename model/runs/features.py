@@ -459,25 +459,7 @@ _QUANTITIES: dict[str, Callable[[Features], FloatArray]] = {
 
 
 def quantity(rows: Features, name: str) -> FloatArray:
-    """Return a quantity that effects may depend on.
-
-    Parameters
-    ----------
-    rows : Features
-        Of n rows.
-    name : str
-        Such as `grade`, or `column:NAME` for a logged column.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        NaN where it is not known.
-
-    Raises
-    ------
-    ModelError
-        If there is no such quantity.
-    """
+    """Return a quantity that effects may depend on. Result (n,): NaN where it is not known."""
     if name.startswith("column:"):
         return rows.columns.get(name.removeprefix("column:"), np.full(len(rows), np.nan))
     if name not in _QUANTITIES:
@@ -488,15 +470,7 @@ def quantity(rows: Features, name: str) -> FloatArray:
 def driven_ranges(rows: Features) -> dict[str, tuple[float, float]]:
     """Return the range of every quantity in which rows were driven.
 
-    Parameters
-    ----------
-    rows : Features
-        Measured.
-
-    Returns
-    -------
-    dict of str to tuple of float
-        Lowest and highest value without the outermost hundredth at either end; nothing of a direction.
+    Result: lowest and highest value without the outermost hundredth at either end; nothing of a direction.
     """
     moving = rows.take(~rows.standing)
     logged = (f"column:{key}" for key in rows.columns if key not in ANGLE_COLUMNS)
@@ -512,20 +486,7 @@ def driven_ranges(rows: Features) -> dict[str, tuple[float, float]]:
 
 
 def share_beyond(values: FloatArray, low: float, high: float) -> float:
-    """Return which share of the values of a quantity lies beyond a range; rounding does not.
-
-    Parameters
-    ----------
-    values : ndarray of float
-        Of the quantity.
-    low, high : float
-        Of the range.
-
-    Returns
-    -------
-    float
-        0 to 1.
-    """
+    """Return which share of the values of a quantity lies beyond a range; rounding does not."""
     margin = 1e-6 * max(abs(low), abs(high))
     return float(np.mean((values < low - margin) | (values > high + margin)))
 
@@ -533,15 +494,7 @@ def share_beyond(values: FloatArray, low: float, high: float) -> float:
 def concatenate_features(parts: Sequence[Features]) -> Features:
     """Join the rows of several sets of runs of one robot.
 
-    Parameters
-    ----------
-    parts : sequence of Features
-        At least one.
-
-    Returns
-    -------
-    Features
-        One after the other. A column that some part lacks is NaN, or an empty text, there.
+    A column that some part lacks is NaN, or an empty text, there.
     """
     offsets = np.cumsum([0] + [len(p.runs) for p in parts])
     numbers = sorted({key for p in parts for key in p.columns})

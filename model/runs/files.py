@@ -22,16 +22,6 @@ def distinct_names(files: Sequence[Path]) -> list[str]:
 
     A name is the shortest end of the path by which the file differs from all others of the same file name:
     `run_01.csv`, or `monday/run_01.csv` and `tuesday/run_01.csv`.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        The same file may occur twice.
-
-    Returns
-    -------
-    list of str
-        In the order of `files`.
     """
     paths = [file.absolute() for file in files]
     names: dict[Path, str] = {}
@@ -47,15 +37,7 @@ def distinct_names(files: Sequence[Path]) -> list[str]:
 def same_content(files: Sequence[Path]) -> dict[Path, Path]:
     """Return which files are copies of others: one drive under several names is one run.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        Folders are no copies.
-
-    Returns
-    -------
-    dict of Path to Path
-        By each copy, the first file with its content.
+    Result: by each copy, the first file with its content.
     """
     sizes = Counter(file.stat().st_size for file in files if file.is_file())
     first: dict[bytes, Path] = {}
@@ -71,18 +53,7 @@ def same_content(files: Sequence[Path]) -> dict[Path, Path]:
 
 
 def copies_words(copies: Mapping[Path, Path]) -> list[str]:
-    """Return a sentence for each file that has copies.
-
-    Parameters
-    ----------
-    copies : mapping of Path to Path
-        As `same_content` returns them.
-
-    Returns
-    -------
-    list of str
-        With the names of the first and of its copies.
-    """
+    """Return a sentence for each file that has copies."""
     found: dict[Path, list[str]] = {}
     for copy, first in copies.items():
         found.setdefault(first, []).append(copy.name)
@@ -99,25 +70,6 @@ def read_alike(
 
     One robot has one kind of ammeter: where single runs read the signs of their currents differently, the reading of
     most rows is that of all.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        The runs.
-    readers : sequence of callable
-        Of each file: takes the file, its name, and how its currents are summed.
-    currents : {"auto", "signed", "magnitude"}
-        How the currents of several motors are summed (`joulemap.model.runs.electric`).
-
-    Returns
-    -------
-    list of Run
-        In the order of `files`.
-
-    Raises
-    ------
-    RunsError
-        If a file is no run.
     """
     given = list(zip(files, distinct_names(files), readers, strict=True))
     runs = [read(file, name, currents) for file, name, read in given]
@@ -144,32 +96,7 @@ def read_segments(
 ) -> tuple[list[Run], Segments]:
     """Read runs for training: every run, and the segments of all in joules.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        At least one.
-    robot : Robot
-        Its nominal voltage turns charge into energy.
-    crs : str, optional
-        The heightmap's CRS, needed for `lat` and `lon`.
-    charge : bool
-        Use the charge of every run, also of those with a voltage.
-    protocol : {"track", "chords"}
-        As in `cut_segments`.
-    currents : {"auto", "signed", "magnitude"}
-        How the currents of several motors are summed (`joulemap.model.runs.electric`).
-    length_m : float, optional
-        As in `cut_segments`.
-
-    Returns
-    -------
-    tuple of (list of Run, Segments)
-        In the order of `files`. A run without a voltage counts with its charge times the nominal voltage.
-
-    Raises
-    ------
-    RunsError
-        If there is no file, or one is no run.
+    Result: a run without a voltage counts with its charge times the nominal voltage.
     """
     if not files:
         raise RunsError("there is no run to read: no file has such a name")

@@ -29,24 +29,8 @@ _GREATEST_DEG = {"lat": 90.0, "lon": 360.0}  # a longitude may count from 0 to 3
 def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> tuple[FloatArray, FloatArray]:
     """Return the positions as recorded, and take the columns `x` and `y` out of `numbers`.
 
-    Parameters
-    ----------
-    numbers : dict of str to ndarray of float, (n,)
-        Columns of a log.
-    name : str
-        Of the run, for messages.
-    crs : str, optional
-        The heightmap's CRS, needed for `lat` and `lon`.
-
-    Returns
-    -------
-    tuple of ndarray of float, (n,)
-        x, y [m], NaN where a row has none, or one that does not exist on Earth.
-
-    Raises
-    ------
-    RunsError
-        If there is no position, if more than half of them do not exist, or if all lie outside the area of the CRS.
+    `numbers` (n,): columns of a log. Result (n,): x, y [m], NaN where a row has none, or one that does not exist on
+    Earth.
     """
     if "x" in numbers and "y" in numbers:
         return numbers.pop("x"), numbers.pop("y")
@@ -94,22 +78,7 @@ def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> 
 def projected(lat: FloatArray, lon: FloatArray, crs: str) -> tuple[FloatArray, FloatArray]:
     """Return world coordinates of positions in degrees.
 
-    Parameters
-    ----------
-    lat, lon : ndarray of float, (n,)
-        WGS 84 [deg].
-    crs : str
-        To project to.
-
-    Returns
-    -------
-    tuple of ndarray of float, (n,)
-        x, y [m], NaN for a position that the CRS cannot express.
-
-    Raises
-    ------
-    RunsError
-        If the CRS is not known, or is not one of the Earth.
+    `lat`, `lon` (n,): WGS 84 [deg]. Result (n,): x, y [m], NaN for a position that the CRS cannot express.
     """
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
@@ -184,19 +153,8 @@ def usable_fixes(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Apply the fourth rule of `joulemap.model.runs.reader`: which fixes are used.
 
-    Parameters
-    ----------
-    t, x, y : ndarray of float, (n,)
-        Stamps [s] and positions [m], NaN where there is none.
-    gps_error : ndarray of float, (n,), optional
-        As the receiver reports it [m].
-    repairs : dict
-        Counts by rule, which are added to.
-
-    Returns
-    -------
-    tuple of ndarray
-        x, y [m], NaN where a fix is not used; and of bool, True where the track breaks. (n,) each.
+    `t`, `x`, `y` (n,): stamps [s] and positions [m], NaN where there is none; `gps_error` (n,): as the receiver reports
+    it [m]. Result: x, y [m], NaN where a fix is not used; and of bool, True where the track breaks.
     """
     good = np.isfinite(x) & np.isfinite(y)
     add_count(repairs, "blank_fixes", int((~good).sum()))

@@ -23,22 +23,10 @@ _LEAST_READINGS = 10
 def between_readings(t: FloatArray, values: FloatArray) -> tuple[FloatArray, int]:
     """Return the values of a slow meter as they change between its readings.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Stamps [s], strictly increasing.
-    values : ndarray of float, (n,)
-        As logged; NaN where blank.
+    `t` (n,): stamps [s], strictly increasing; `values` (n,). Result: straight lines from reading to reading, each at
+    the first row that has it; and the number of rows that repeat one. The same values and 0 where the meter is not
+    slower than the log: where values do not stay for as long again and again.
 
-    Returns
-    -------
-    tuple of (ndarray of float, int)
-        Straight lines from reading to reading, each at the first row that has it; and the number of rows that repeat
-        one. The same values and 0 where the meter is not slower than the log: where values do not stay for as long
-        again and again.
-
-    Notes
-    -----
     The sum of two meters that are read one after the other has short steps between the two readings. A value that
     stays for less than half a period is such a step, and no reading.
     """

@@ -22,26 +22,9 @@ _SPELT = re.compile(r"[A-Za-z]{3}|/|^\d{4}[/.]\d")  # a month as a word, or numb
 def seconds_of(texts: Iterable[str | None], *, lenient: bool = False) -> tuple[FloatArray, int]:
     """Return times that were written as text.
 
-    Parameters
-    ----------
-    texts : iterable of str
-        Such as "2024-05-01T12:00:00.25Z", "01.05.2024 12:00:00,25", "05/31/2024 12:00:00", "1-May-2024 12:00:00",
-        "2024-05-01" or "12:00:00.25". Without a time zone they are taken as UTC.
-    lenient : bool, optional
-        Whether what is no time is unknown.
+    Result: seconds since 1970, or since midnight where there is no date, (n,), NaN where blank; and how many are no
+    times.
 
-    Returns
-    -------
-    tuple of (ndarray of float, int)
-        Seconds since 1970, or since midnight where there is no date, (n,), NaN where blank; and how many are no times.
-
-    Raises
-    ------
-    ValueError
-        If one is no such time; its argument is the number of the first, from 0.
-
-    Notes
-    -----
     Of dates such as 05/31/2024 the month comes first if a day above 12 stands there in any of them, or with strokes;
     with points the day is first everywhere.
     """
@@ -66,15 +49,8 @@ def seconds_of(texts: Iterable[str | None], *, lenient: bool = False) -> tuple[F
 def across_midnight(t: FloatArray) -> FloatArray:
     """Return times of day that go on counting after midnight.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Seconds since midnight, NaN where blank.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        A day is added where a time of day falls back by more than half a day.
+    `t` (n,): seconds since midnight, NaN where blank. The result is (n,). A day is added where a time of day falls back
+    by more than half a day.
     """
     known = np.flatnonzero(np.isfinite(t))
     days = np.cumsum(np.diff(t[known], prepend=t[known[:1]]) < -_DAY_S / 2)

@@ -13,21 +13,9 @@ from joulemap.model.runs.features import Features, FloatArray
 def read_late(rows: Features, energy: FloatArray, lag_s: float) -> FloatArray:
     """Return what a late meter says of each row.
 
-    Parameters
-    ----------
-    rows : Features
-        Of n rows, those of each run in driving order.
-    energy : ndarray of float, (n,)
-        That each row took [J, or A s].
-    lag_s : float
-        Of the meter [s].
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Energy by a cubic spline, from one stop to the next, through what was drawn until the end of each row. In a stop
-        the robot draws what it does in stationary intervals, which have their own energy. Before and after a run its
-        first and last row go on.
+    `energy` (n,): that each row took [J, or A s]. Result (n,): energy by a cubic spline, from one stop to the next,
+    through what was drawn until the end of each row. In a stop the robot draws what it does in stationary intervals,
+    which have their own energy.
     """
     out, still = energy.copy(), rows.standing
     took, stood = np.maximum(rows.duration_s, 1e-6), float(rows.duration_s[still].sum())

@@ -41,30 +41,7 @@ def read_log(
 ) -> Table:
     """Read a log of any of the formats of the registry.
 
-    Parameters
-    ----------
-    content : str, bytes or Path
-        A text in CSV, the bytes of a file, or a file.
-    name : str
-        Of the run, for messages.
-    repairs : dict
-        Counts by rule, which are added to.
-    limits : TableLimits, optional
-        How large it may be.
-    mapping : mapping of str to str, optional
-        What is to be taken from where, as `read_mapping` returns it.
-
-    Returns
-    -------
-    Table
-        In joulemap's columns and units, where they could be found.
-
-    Raises
-    ------
-    RunsError
-        If the file is broken, is no log, or a column of the mapping is not in it.
-    TooLargeError
-        If it is larger than the limits.
+    The result is in joulemap's columns and units, where they could be found.
     """
     mapping = mapping or {}
     source = unpacked(_source(content, name))
@@ -87,25 +64,7 @@ def read_log(
 
 
 def format_of(file: Path, name: str) -> LogFormat:
-    """Return the format of a log.
-
-    Parameters
-    ----------
-    file : Path
-        The log, or the folder of a split bag.
-    name : str
-        Of the run, for messages.
-
-    Returns
-    -------
-    LogFormat
-        CSV, where it is no other.
-
-    Raises
-    ------
-    RunsError
-        If it cannot be opened.
-    """
+    """Return the format of a log."""
     return _format_of(_source(file, name))
 
 

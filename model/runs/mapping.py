@@ -51,18 +51,7 @@ class Source:
         return [column for _, column in self.parts]
 
     def words(self, target: str) -> str:
-        """Return what is taken, as a report writes it.
-
-        Parameters
-        ----------
-        target : str
-            Joulemap's column.
-
-        Returns
-        -------
-        str
-            Such as `batt_current_mA [mA]`.
-        """
+        """Return what is taken, as a report writes it. Result: such as `batt_current_mA [mA]`."""
         signed = "".join(
             f"{'-' if sign < 0 else '+' if k else ''}{column}" for k, (sign, column) in enumerate(self.parts)
         )
@@ -71,23 +60,7 @@ class Source:
 
 
 def read_mapping(given: MappingLike | None) -> dict[str, str]:
-    """Return a mapping from any of the ways to give one.
-
-    Parameters
-    ----------
-    given : mapping, sequence of str, str, Path or None
-        A dict; texts such as `t=timestamp_ms:ms`, several with commas between; or a TOML file of such entries.
-
-    Returns
-    -------
-    dict of str to str
-        By joulemap's column; empty for None.
-
-    Raises
-    ------
-    RunsError
-        If it is none of these, or gives a column twice.
-    """
+    """Return a mapping from any of the ways to give one. Result: by joulemap's column; empty for None."""
     if given is None:
         return {}
     if isinstance(given, Mapping):
@@ -116,26 +89,7 @@ def read_mapping(given: MappingLike | None) -> dict[str, str]:
 def source_of(target: str, text: str, columns: Collection[str], name: str) -> Source:
     """Return the source that a text of a mapping means.
 
-    Parameters
-    ----------
-    target : str
-        Joulemap's column.
-    text : str
-        Such as `batt_current_mA:mA`.
-    columns : collection of str
-        Names of the columns of the log.
-    name : str
-        Of the run, for messages.
-
-    Returns
-    -------
-    Source
-        With the unit given, else the unit that the column's name says.
-
-    Raises
-    ------
-    RunsError
-        If a column or a unit is not known.
+    Result: with the unit given, else the unit that the column's name says.
     """
     if target == CAPACITY and _is_number(text):
         return Source((), text)

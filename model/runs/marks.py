@@ -24,31 +24,8 @@ _APART = 0.5  # of the mark: other values are no larger than this share of it
 def without_marks(values: FloatArray, target: str, column: str, name: str, repairs: dict[str, int]) -> FloatArray:
     """Return values of which those that are marks are unknown.
 
-    Parameters
-    ----------
-    values : ndarray of float, (n,)
-        As logged.
-    target : str
-        Joulemap's column, for the count.
-    column : str
-        The log's, for messages.
-    name : str
-        Of the run.
-    repairs : dict
-        Counts by rule, which are added to.
+    `values` is (n,). Result (n,): NaN where there is no reading.
 
-    Returns
-    -------
-    ndarray of float, (n,)
-        NaN where there is no reading.
-
-    Raises
-    ------
-    RunsError
-        If all are marks.
-
-    Notes
-    -----
     A value is a mark if it is one of `MARKS` and all readings are less than half as large: a reading that happens to be
     such a number has others beside it.
     """

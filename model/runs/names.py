@@ -120,19 +120,7 @@ class Candidate:
 def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
     """Return what the name of a column says of it.
 
-    Parameters
-    ----------
-    target : str
-        Joulemap's column that it may be.
-    column : str
-        Its name.
-    unit : str, optional
-        That the file gives separately from the name.
-
-    Returns
-    -------
-    Candidate or None
-        None where it is another quantity, of another part, or in a unit of another quantity.
+    Result: None where it is another quantity, of another part, or in a unit of another quantity.
     """
     column_of_two, column = column, re.sub(r" \(\d+\)$", "", column)
     stem, in_name = unit_in_name(target, column)
@@ -179,17 +167,7 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
 def ruled_out(target: str, column: str) -> bool:
     """Return whether the name says another quantity, another part of the vehicle, or a value that is not measured.
 
-    Parameters
-    ----------
-    target : str
-        Joulemap's column.
-    column : str
-        The name.
-
-    Returns
-    -------
-    bool
-        False of a name without a known word.
+    Result: False of a name without a known word.
     """
     words = _words(unit_in_name(target, column)[0])
     others = (_QUANTITY_WORDS - _WORDS[target]) | _NOT.get(target, _NEVER)
@@ -197,34 +175,12 @@ def ruled_out(target: str, column: str) -> bool:
 
 
 def motor_current(column: str) -> Candidate | None:
-    """Return the current of a motor or of a side, as its name says; None for any other.
-
-    Parameters
-    ----------
-    column : str
-        Its name.
-
-    Returns
-    -------
-    Candidate or None
-        With the side or the number as its instance.
-    """
+    """Return the current of a motor or of a side, as its name says; None for any other."""
     return _of_side("current", column, _set("motor drive wheel"))
 
 
 def wheel_speed(column: str) -> Candidate | None:
-    """Return the speed of a side, as its name says; None for any other.
-
-    Parameters
-    ----------
-    column : str
-        Its name.
-
-    Returns
-    -------
-    Candidate or None
-        With `left` or `right` as its instance.
-    """
+    """Return the speed of a side, as its name says; None for any other."""
     found = _of_side("speed", column, _set("wheel track"))
     return found if found is not None and found.instance in ("left", "right") else None
 

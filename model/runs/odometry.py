@@ -41,11 +41,6 @@ class Odometry:
         Effective distance between the left and the right wheels while turning [m].
     terrain_from_name : bool
         Take the class of ground from the name of a file that has no such column.
-
-    Raises
-    ------
-    InputError
-        If `track_m` is outside `joulemap.model.ranges.TRACK_M`.
     """
 
     track_m: float
@@ -74,33 +69,6 @@ def read_odometry(
     Its columns are t [s], speed_left and speed_right [m/s], and current, several current_* [A] or power [W]; optionally
     voltage [V] and any others. Columns named as in BorealTC (velL, curL, ...) are known too. The rules of
     `joulemap.model.runs.reader` apply. The columns heading [deg] and speed [m/s] are added.
-
-    Parameters
-    ----------
-    path : str or Path
-        Of the file.
-    odometry : Odometry
-        How wheel speeds become a track.
-    name : str, optional
-        Of the run; without it, that of the file.
-    currents : {"auto", "signed", "magnitude"}
-        As in `read_run`.
-    limits : TableLimits, optional
-        How large the table may be.
-    mapping : mapping of str to str, optional
-        As in `read_run`.
-
-    Returns
-    -------
-    Run
-        With positions in a frame of its own.
-
-    Raises
-    ------
-    RunsError
-        If the file cannot be read, or a column is missing.
-    TooLargeError
-        If it is larger than the limits.
     """
     path = Path(path)
     name = name or path.name
@@ -112,31 +80,7 @@ def read_odometry(
 def odometry_run(
     table: Table, odometry: Odometry, *, name: str, repairs: dict[str, int], currents: Currents = "auto"
 ) -> Run:
-    """Make a run of a table of wheel speeds.
-
-    Parameters
-    ----------
-    table : Table
-        As `read_log` returns it; its columns are taken out of it.
-    odometry : Odometry
-        How wheel speeds become a track.
-    name : str
-        Of the run.
-    repairs : dict
-        What was counted while it was read.
-    currents : {"auto", "signed", "magnitude"}
-        As in `read_run`.
-
-    Returns
-    -------
-    Run
-        As `read_odometry`.
-
-    Raises
-    ------
-    RunsError
-        If a column is missing.
-    """
+    """Make a run of a table of wheel speeds."""
     numbers, texts = table.numbers, table.texts
     for column in ("t", *SIDES):
         if column not in numbers:
@@ -156,15 +100,7 @@ def odometry_run(
 def terrain_in_name(name: str) -> str | None:
     """Return the class of ground that a file is named after.
 
-    Parameters
-    ----------
-    name : str
-        Such as `snow_02.csv`.
-
-    Returns
-    -------
-    str or None
-        Such as `snow`; None where the name is a number only.
+    Result: such as `snow`; None where the name is a number only.
     """
     return _NUMBERED.sub("", Path(name).stem) or None
 
@@ -174,22 +110,9 @@ def integrate(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Integrate wheel speeds from (0, 0), heading north.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Stamps [s].
-    left_mps, right_mps : ndarray of float, (n,)
-        Speeds of the sides [m/s].
-    track_m : float
-        Effective distance between the sides [m].
+    `t` (n,): stamps [s]; `left_mps`, `right_mps` (n,): speeds of the sides [m/s]. Result (n,): x, y [m], and heading
+    [rad], clockwise from north and not wrapped.
 
-    Returns
-    -------
-    tuple of ndarray of float, (n,)
-        x, y [m], and heading [rad], clockwise from north and not wrapped.
-
-    Notes
-    -----
     Each step has the mean speeds of its two ends and is an arc, which is exact at constant speeds. Nothing is driven
     across missing rows (`joulemap.model.runs.arcs.rows_missing`) and steps back in time.
     """
@@ -206,27 +129,7 @@ def integrate(
 
 
 def flat_heightmap(runs: Sequence[Run], *, resolution_m: float = 1.0, margin_m: float = 3.0) -> Heightmap:
-    """Return flat ground that covers all runs.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        At least one.
-    resolution_m : float
-        Side of a cell [m].
-    margin_m : float
-        Ground beyond the outermost positions [m].
-
-    Returns
-    -------
-    Heightmap
-        Of height 0.
-
-    Raises
-    ------
-    InputError
-        If there is no run.
-    """
+    """Return flat ground that covers all runs."""
     if not runs:
         raise InputError("there is no run to make a map for")
     x, y = (np.concatenate([getattr(run, key)[np.isfinite(run.x)] for run in runs]) for key in ("x", "y"))

@@ -32,17 +32,7 @@ _DEGREES = 0.1  # a drive of 10 km spans less of both
 def implausible(run: Run, segments: Segments | None = None) -> list[str]:
     """Return what cannot be, if all columns are in the units that they are read in.
 
-    Parameters
-    ----------
-    run : Run
-        As it was read.
-    segments : Segments, optional
-        Of the run, if there are any.
-
-    Returns
-    -------
-    list of str
-        A sentence for each finding, with the value and the unit that it points to; empty where all is plausible.
+    Result: a sentence for each finding, with the value and the unit that it points to; empty where all is plausible.
     """
     found = []
     step = float(np.median(np.diff(run.t)))

@@ -24,16 +24,8 @@ _BLANK_INTERVALS = 2.5  # as for missing rows: more than one fix is missing
 def sides_of(columns: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray] | None:
     """Return the wheel speeds of both sides.
 
-    Parameters
-    ----------
-    columns : mapping of str to ndarray of float, (n,)
-        Columns of a log.
-
-    Returns
-    -------
-    tuple of ndarray of float, (n,), or None
-        Left and right, in the unit of the log, blanks bridged; None if they are not logged in at least 80 % of the
-        rows.
+    `columns` (n,): columns of a log. Result (n,): left and right, in the unit of the log, blanks bridged; None if they
+    are not logged in at least 80 % of the rows.
     """
     for pair in WHEELS:
         if all(key in columns and np.isfinite(columns[key]).mean() >= 0.8 for key in pair):
@@ -61,21 +53,8 @@ def fill_by_wheels(
     It is used if its chord is as long as theirs to half a metre. A heading that is held in the blank, as by the same
     sensor, turns as the wheels do from its value before to that after.
 
-    Parameters
-    ----------
-    t, x, y : ndarray of float, (n,)
-        Stamps [s] and positions [m], NaN where there is none.
-    breaks : ndarray of bool, (n,)
-        True where the position jumps.
-    columns : dict of str to ndarray of float, (n,)
-        The others; `heading` [deg] is replaced.
-    repairs : dict
-        Counts by rule, which are added to.
-
-    Returns
-    -------
-    tuple of ndarray of float, (n,)
-        x, y [m].
+    `t`, `x`, `y` (n,): stamps [s] and positions [m], NaN where there is none; `breaks` (n,): True where the position
+    jumps; `columns` (n,): the others, `heading` [deg] is replaced. Result (n,): x, y [m].
     """
     sides = sides_of(columns)
     fixes = np.flatnonzero(np.isfinite(x) & np.isfinite(y))

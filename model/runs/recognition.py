@@ -62,27 +62,7 @@ class Recognised:
 
 
 def recognised(stream: Stream, mapping: Mapping[str, str], name: str) -> Recognised:
-    """Return which columns of a table are joulemap's.
-
-    Parameters
-    ----------
-    stream : Stream
-        The table.
-    mapping : mapping of str to str
-        What the user says, which is believed.
-    name : str
-        Of the run, for messages.
-
-    Returns
-    -------
-    Recognised
-        With a source for each column that is known.
-
-    Raises
-    ------
-    RunsError
-        If the mapping names a column that is not there.
-    """
+    """Return which columns of a table are joulemap's."""
     there = [*stream.numbers, *stream.texts]
     found = Recognised({target: source_of(target, text, there, name) for target, text in mapping.items()})
     for target, source in found.chosen.items():
@@ -109,17 +89,7 @@ def recognised(stream: Stream, mapping: Mapping[str, str], name: str) -> Recogni
 def replaced(target: str, chosen: Collection[str]) -> bool:
     """Return whether the user has said a column, or another way to say the same.
 
-    Parameters
-    ----------
-    target : str
-        Joulemap's column.
-    chosen : collection of str
-        Those that the user has said.
-
-    Returns
-    -------
-    bool
-        True too of `lat` where x and y are said, and of a current where another or a power is.
+    Result: True too of `lat` where x and y are said, and of a current where another or a power is.
     """
     if target in chosen:
         return True
@@ -324,15 +294,7 @@ def _take_packs(tied: Mapping[str, list[Candidate]], found: Recognised) -> None:
 def disagreement(a: FloatArray, b: FloatArray) -> float:
     """Return by which share two quantities differ in the median, whatever their signs; infinite where neither flows.
 
-    Parameters
-    ----------
-    a, b : ndarray of float, (n,)
-        NaN where unknown.
-
-    Returns
-    -------
-    float
-        0 where they agree.
+    `a`, `b` (n,): NaN where unknown.
     """
     a, b = np.abs(a), np.abs(b)
     both = np.isfinite(a) & np.isfinite(b)

@@ -17,15 +17,7 @@ RECORD_FILE = "base_runs.npz"
 
 
 def save_record(folder: str | Path, residuals: Residuals) -> None:
-    """Write `base_runs.npz` into a model's folder.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Of the model.
-    residuals : Residuals
-        Of the runs it was made from.
-    """
+    """Write `base_runs.npz` into a model's folder."""
     rows = residuals.features
     arrays: dict[str, Any] = {name: getattr(rows, name) for name in row_arrays()}
     arrays |= {f"column:{key}": values for key, values in rows.columns.items()}
@@ -37,23 +29,7 @@ def save_record(folder: str | Path, residuals: Residuals) -> None:
 
 
 def read_record(folder: str | Path) -> Residuals | None:
-    """Read the runs a model was made from.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Of the model.
-
-    Returns
-    -------
-    Residuals or None
-        None where the folder has no record.
-
-    Raises
-    ------
-    ModelError
-        If the record is damaged, or of an older version.
-    """
+    """Read the runs a model was made from. Result: None where the folder has no record."""
     path = Path(folder) / RECORD_FILE
     if not path.is_file():
         return None

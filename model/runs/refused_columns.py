@@ -23,17 +23,8 @@ _SPIKE = 8.0  # times the median size
 def refused_columns(residuals: Residuals, electric: Mapping[str, FloatArray]) -> dict[str, str]:
     """Return the logged columns on which no effect may depend.
 
-    Parameters
-    ----------
-    residuals : Residuals
-        Of the runs.
-    electric : mapping
-        Readings of the battery by name, (n,).
-
-    Returns
-    -------
-    dict of str to str
-        Why, by name of the column: parts of the measurement and copies of it, constants and copies of other columns.
+    Result: why, by name of the column: parts of the measurement and copies of it, constants and copies of other
+    columns.
     """
     moving = residuals.moving
     rows = residuals.features.take(moving)

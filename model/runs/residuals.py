@@ -63,18 +63,7 @@ class Residuals:
         return self.features.predicted + beyond
 
     def driven_by(self, drives: Drives) -> Residuals:
-        """Return the same rows for other drives.
-
-        Parameters
-        ----------
-        drives : Drives
-            As fitted.
-
-        Returns
-        -------
-        Residuals
-            With another prediction of the motion.
-        """
+        """Return the same rows for other drives."""
         return replace(self, features=replace(self.features, drives=drives))
 
     @property
@@ -113,15 +102,8 @@ class Residuals:
     def folds(self, groups: Sequence[str] | None = None) -> NDArray[np.int64]:
         """Return what is left out together by the cross-validation of a whole procedure.
 
-        Parameters
-        ----------
-        groups : sequence of str, optional
-            Of each run, such as its day. Without it every run is a group.
-
-        Returns
-        -------
-        ndarray of int, (n,)
-            Number of the fold: at most `MOST_FOLDS` of whole groups; `unit` where there are too few runs or one group.
+        Result (n,): number of the fold: at most `MOST_FOLDS` of whole groups; `unit` where there are too few runs or
+        one group.
         """
         names = np.asarray(groups if groups is not None else self.features.runs)[self.run]
         _, group = np.unique(names, return_inverse=True)
@@ -131,18 +113,7 @@ class Residuals:
         return np.asarray(group * min(count, MOST_FOLDS) // count, dtype=np.int64)
 
     def take(self, which: ArrayLike) -> Residuals:
-        """Return some of the rows.
-
-        Parameters
-        ----------
-        which : array_like
-            A mask, or indices.
-
-        Returns
-        -------
-        Residuals
-            In the order of `which`.
-        """
+        """Return some of the rows."""
         index = np.asarray(which)
         informed = None if self.informed is None else self.informed[index]
         return replace(self, features=self.features.take(index), measured=self.measured[index], informed=informed)
@@ -159,30 +130,8 @@ def residuals_of(
 ) -> tuple[Residuals, NDArray[np.int64]]:
     """Return the residuals of rows whose ground is known.
 
-    Parameters
-    ----------
-    features : Features
-        Of the rows.
-    measured : ndarray of float, (n,)
-        Energy [J], or charge [A s].
-    runs : tuple of str
-        Names by number.
-    charge : bool
-        Whether it is charge.
-    informed : ndarray of float, (n,), optional
-        See `Residuals`.
-    least : int
-        Smallest number of segments.
-
-    Returns
-    -------
-    tuple of (Residuals, ndarray of int)
-        Of the usable rows, in runs: the stationary intervals of each after its segments; and the numbers of these rows.
-
-    Raises
-    ------
-    RunsError
-        If fewer than `least` segments are usable.
+    `measured` (n,): energy [J], or charge [A s]; `informed` (n,): see `Residuals`. Result: of the usable rows, in runs:
+    the stationary intervals of each after its segments; and the numbers of these rows.
     """
     known = features.standing | (np.isfinite(features.traction_per_m) & np.isfinite(features.grade))
     kept = int((known & ~features.standing).sum())
@@ -202,23 +151,7 @@ def residuals_of(
 
 
 def joined(parts: Sequence[Residuals]) -> Residuals:
-    """Join the rows of several sets of runs.
-
-    Parameters
-    ----------
-    parts : sequence of Residuals
-        Of one robot and of one kind of energy, in driving order.
-
-    Returns
-    -------
-    Residuals
-        One after the other.
-
-    Raises
-    ------
-    InputError
-        If energy and charge are mixed.
-    """
+    """Join the rows of several sets of runs."""
     if len({part.charge for part in parts}) > 1:
         raise InputError("runs with a voltage and runs without cannot be calibrated together")
     return Residuals(

@@ -23,15 +23,7 @@ adds up. Chosen on a Husky: without it left-out runs err by 2 % more; from 0.7 t
 def without_blanks(values: FloatArray) -> FloatArray:
     """Return values with blanks filled on straight lines.
 
-    Parameters
-    ----------
-    values : ndarray of float, (n,)
-        NaN where there is none.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Zeros where no value is known.
+    `values` (n,): NaN where there is none. The result is (n,).
     """
     known = np.isfinite(values)
     rows = np.arange(values.size)
@@ -41,17 +33,7 @@ def without_blanks(values: FloatArray) -> FloatArray:
 def rolled_between(t: FloatArray, sides: FloatArray) -> FloatArray:
     """Return what the wheels roll from each row to the next.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Stamps [s].
-    sides : ndarray of float, (2, n)
-        Speeds of the sides [m/s].
-
-    Returns
-    -------
-    ndarray of float, (n - 1,)
-        Mean of both sides, unsigned [m].
+    `t` (n,): stamps [s]; `sides` (2, n): speeds of the sides [m/s]. Result (n - 1,): mean of both sides, unsigned [m].
     """
     rolling = np.abs(sides).mean(axis=0)
     return np.asarray(0.5 * (rolling[1:] + rolling[:-1]) * np.diff(t))
@@ -60,15 +42,7 @@ def rolled_between(t: FloatArray, sides: FloatArray) -> FloatArray:
 def rolled_m(run: Run) -> float:
     """Return how far the wheels of a run rolled, turns on the spot included and missing rows not.
 
-    Parameters
-    ----------
-    run : Run
-        From `read_odometry`.
-
-    Returns
-    -------
-    float
-        Mean of both sides [m].
+    Result: mean of both sides [m].
     """
     rolled = rolled_between(run.t, np.stack([without_blanks(run.extras[name]) for name in SIDES]))
     return float(rolled[~rows_missing(run.t, rolled, 1.0)].sum())
@@ -82,24 +56,7 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
     of about `length_m`; stops of 2 s or more are in no segment. The metres across missing rows are those at the mean
     speed of both ends.
 
-    Parameters
-    ----------
-    run : Run
-        From `read_odometry`.
-    length_m : float
-        Nominal length of a segment [m].
-    charge : bool
-        Integrate the current alone [A s] instead of the power [J].
-
-    Returns
-    -------
-    Segments
-        In driving order.
-
-    Raises
-    ------
-    RunsError
-        If the run has no voltage and `charge` is False.
+    `charge`: integrate the current alone [A s] instead of the power [J].
     """
     t = run.t
     sides = np.stack([without_blanks(run.extras[name]) for name in SIDES])

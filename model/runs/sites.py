@@ -82,39 +82,12 @@ class SiteRuns:
     site: NDArray[np.int64]
 
     def on(self, number: int) -> NDArray[np.int64]:
-        """Return which segments lie on a site.
-
-        Parameters
-        ----------
-        number : int
-            Of the site.
-
-        Returns
-        -------
-        ndarray of int
-            Their indices.
-        """
+        """Return which segments lie on a site."""
         return np.flatnonzero(self.site == number)
 
 
 def files_of(sites: Sequence[Site]) -> list[Path]:
-    """Return the runs to learn from, and check that each lies on one map.
-
-    Parameters
-    ----------
-    sites : sequence of Site
-        At least one.
-
-    Returns
-    -------
-    list of Path
-        In the order of the sites.
-
-    Raises
-    ------
-    InputError
-        If there is no site, or a run is given twice.
-    """
+    """Return the runs to learn from, and check that each lies on one map."""
     if not sites:
         raise InputError("there is no site: give a heightmap and its runs")
     files = [file for site in sites for file in site.files]
@@ -126,25 +99,7 @@ def files_of(sites: Sequence[Site]) -> list[Path]:
 
 
 def with_test_files(sites: Sequence[Site], files: Sequence[Path]) -> list[Site]:
-    """Take test runs out of their sites' other runs.
-
-    Parameters
-    ----------
-    sites : sequence of Site
-        Of all runs.
-    files : sequence of Path
-        The test runs. Of several sites, each must be among the runs of one; a single site takes them all.
-
-    Returns
-    -------
-    list of Site
-        Each with its test runs, which are in nothing else.
-
-    Raises
-    ------
-    InputError
-        If it is not known on which of several maps a test run was driven.
-    """
+    """Take test runs out of their sites' other runs."""
     tests = {file.resolve(): file for file in files}
 
     def _others(some: tuple[Path, ...]) -> tuple[Path, ...]:
@@ -165,23 +120,7 @@ def with_test_files(sites: Sequence[Site], files: Sequence[Path]) -> list[Site]:
 
 
 def robot_of_all(sites: Sequence[Site]) -> Robot:
-    """Return the one robot that drove on all sites.
-
-    Parameters
-    ----------
-    sites : sequence of Site
-        At least one.
-
-    Returns
-    -------
-    Robot
-        As its owner declares it.
-
-    Raises
-    ------
-    InputError
-        If the robots differ.
-    """
+    """Return the one robot that drove on all sites."""
     first = sites[0]
     for site in sites[1:]:
         if site.robot != first.robot:
@@ -195,29 +134,7 @@ def robot_of_all(sites: Sequence[Site]) -> Robot:
 
 
 def read_sites(sites: Sequence[Site], *, charge: bool = False, protocol: Protocol = "track") -> SiteRuns:
-    """Read the runs of several sites, and check that each was driven on its map.
-
-    Parameters
-    ----------
-    sites : sequence of Site
-        At least one.
-    charge : bool, optional
-        As `read_segments`.
-    protocol : {"track", "chords"}, optional
-        As `read_segments`.
-
-    Returns
-    -------
-    SiteRuns
-        All runs, in the order of the sites.
-
-    Raises
-    ------
-    InputError
-        If there is no site or no run on one, or a run is given twice.
-    RunsError
-        If a log cannot be read, or does not fit its map and robot.
-    """
+    """Read the runs of several sites, and check that each was driven on its map."""
     files = files_of(sites)
     idle = next((site for site in sites if not site.files), None)
     if idle is not None:

@@ -23,19 +23,8 @@ def smooth(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Fit local straight lines in time with Gaussian weights, never across pieces.
 
-    Parameters
-    ----------
-    t, x, y : ndarray of float, (n,)
-        Stamps [s], which increase, and positions [m].
-    piece : ndarray of int, (n,)
-        Number of the piece.
-    sigma_s : float
-        Standard deviation of the weights [s].
-
-    Returns
-    -------
-    tuple of ndarray of float, (n,)
-        x, y [m] and their velocities [m/s].
+    `t`, `x`, `y` (n,): stamps [s], which increase, and positions [m]; `piece` (n,): number of the piece. Result (n,):
+    x, y [m] and their velocities [m/s].
     """
     n = t.size
     sx, sy, vx, vy = np.empty(n), np.empty(n), np.zeros(n), np.zeros(n)

@@ -42,20 +42,7 @@ class TableLimits:
     text_mb: float = 4_000.0
 
     def check(self, rows: int, columns: int, name: str) -> None:
-        """Refuse a declared size before memory is allocated for it.
-
-        Parameters
-        ----------
-        rows, columns : int
-            The declared size.
-        name : str
-            Of the run, for the message.
-
-        Raises
-        ------
-        TooLargeError
-            If it is larger than the limits.
-        """
+        """Refuse a declared size before memory is allocated for it."""
         if columns > self.columns:
             raise TooLargeError(
                 f"run {name} has {columns:,} columns, the limit is {self.columns:,}: leave columns out",
@@ -79,22 +66,7 @@ class TableLimits:
             )
 
     def check_texts(self, rows: int, letters: int, name: str, column: str) -> None:
-        """Refuse a column of text before memory is allocated for it.
-
-        Parameters
-        ----------
-        rows : int
-            Number of its cells.
-        letters : int
-            Length of the longest.
-        name, column : str
-            Of the run and the column, for the message.
-
-        Raises
-        ------
-        TooLargeError
-            If it would take more memory than the limit.
-        """
+        """Refuse a column of text before memory is allocated for it."""
         size_mb = rows * letters * 4 / 1e6  # NumPy keeps every cell as long as the longest, 4 bytes for a letter
         if size_mb > self.text_mb:
             raise TooLargeError(
@@ -112,48 +84,19 @@ LIMITS = TableLimits()
 
 
 def add_count(counts: dict[str, int], key: str, count: int) -> None:
-    """Add to a count by key; a key is there only if its count is not zero.
-
-    Parameters
-    ----------
-    counts : dict
-        Counts by key, which are added to.
-    key : str
-        Of a rule, or of a reason.
-    count : int
-        To add.
-    """
+    """Add to a count by key; a key is there only if its count is not zero."""
     if count:
         counts[key] = counts.get(key, 0) + int(count)
 
 
 def columns_there(numbers: Iterable[str]) -> str:
-    """Return the end of a sentence about a missing column.
-
-    Parameters
-    ----------
-    numbers : iterable of str
-        Names of the columns of numbers that are there.
-
-    Returns
-    -------
-    str
-        That lists them.
-    """
+    """Return the end of a sentence about a missing column."""
     return f"; its other columns of numbers are {(', '.join(sorted(numbers)) or 'none')[:400]}"
 
 
 def usable(numbers: dict[str, FloatArray]) -> dict[str, FloatArray]:
     """Return columns in which what is infinite or too large is unknown.
 
-    Parameters
-    ----------
-    numbers : dict of str to ndarray of float, (n,)
-        As they were read.
-
-    Returns
-    -------
-    dict of str to ndarray of float, (n,)
-        NaN for blank, nan, inf and what is too large.
+    `numbers` is (n,). Result (n,): NaN for blank, nan, inf and what is too large.
     """
     return {column: np.where(np.abs(values) <= LARGEST, values, np.nan) for column, values in numbers.items()}

@@ -54,29 +54,7 @@ class Table:
 
 
 def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dict[str, int]) -> Table:
-    """Return a table in joulemap's columns and units, as far as they can be recognised.
-
-    Parameters
-    ----------
-    stream : Stream
-        As the file has it.
-    mapping : mapping of str to str
-        What the user says.
-    name : str
-        Of the run, for messages.
-    repairs : dict
-        Counts by rule, which are added to.
-
-    Returns
-    -------
-    Table
-        With the stamps `t`, where there are any.
-
-    Raises
-    ------
-    RunsError
-        If a column that is needed could be one or another, or holds nothing but marks of unknown values.
-    """
+    """Return a table in joulemap's columns and units, as far as they can be recognised."""
     found = recognised(stream, mapping, name)
     chosen = found.chosen
     for target, question in found.questions.items():
@@ -160,27 +138,7 @@ def _read(target: str, source: Source, stream: Stream, name: str, repairs: dict[
 
 
 def numbers_of(stream: Stream, column: str, name: str) -> FloatArray:
-    """Return a column of numbers.
-
-    Parameters
-    ----------
-    stream : Stream
-        That has it.
-    column : str
-        Its name.
-    name : str
-        Of the run, for messages.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        NaN where blank.
-
-    Raises
-    ------
-    RunsError
-        If it is one of texts.
-    """
+    """Return a column of numbers. Result (n,): NaN where blank."""
     if column in stream.numbers:
         return stream.numbers[column]
     cells = stream.texts[column]
@@ -270,12 +228,7 @@ def _take_heading(
 def add_packs(numbers: dict[str, FloatArray], volts: Sequence[FloatArray], amps: Sequence[FloatArray]) -> None:
     """Add the power of batteries in parallel, and their mean voltage.
 
-    Parameters
-    ----------
-    numbers : dict of str to ndarray of float, (n,)
-        Columns, which are added to.
-    volts, amps : sequence of ndarray of float, (n,)
-        Of each battery [V, A].
+    `numbers` (n,): columns, which are added to; `volts`, `amps` (n,): of each battery [V, A].
     """
     with np.errstate(invalid="ignore"):
         numbers["power"] = np.sum([v * i for v, i in zip(volts, amps, strict=True)], axis=0)
@@ -425,19 +378,8 @@ def _take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], foun
 def at_stamps(t: FloatArray, stamps: FloatArray, values: FloatArray, *, turning: bool) -> FloatArray:
     """Return values at other stamps, by straight lines.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Where they are wanted [s].
-    stamps, values : ndarray of float, (m,)
-        Where they are known [s], and what they are; NaN where they are not.
-    turning : bool
-        Whether they are angles [deg].
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        NaN in pauses and outside.
+    `t` (n,): where they are wanted [s]; `stamps`, `values` (m,): where they are known [s], and what they are, NaN where
+    they are not; `turning`: whether they are angles [deg]. Result (n,): NaN in pauses and outside.
     """
     known = np.isfinite(stamps) & np.isfinite(values)
     order = np.argsort(stamps[known], kind="stable")
@@ -459,10 +401,7 @@ def at_stamps(t: FloatArray, stamps: FloatArray, values: FloatArray, *, turning:
 def without_null_island(numbers: dict[str, FloatArray]) -> None:
     """Make positions at latitude 0 and longitude 0 unknown, which receivers without a fix write.
 
-    Parameters
-    ----------
-    numbers : dict of str to ndarray of float, (n,)
-        Columns, which are changed.
+    `numbers` (n,): columns, which are changed.
     """
     lat, lon = numbers.get("lat"), numbers.get("lon")
     if lat is None or lon is None:

@@ -28,24 +28,9 @@ def track_headings(
 ) -> FloatArray:
     """Return where the robot points.
 
-    Parameters
-    ----------
-    run : Run
-        The run.
-    good : ndarray of int, (m,)
-        Its rows with a usable fix.
-    piece : ndarray of int, (m,)
-        Number of the piece between gaps.
-    interval : float
-        The usual time between fixes [s].
-    speed : ndarray of float, (m,)
-        Of the track [m/s].
-
-    Returns
-    -------
-    ndarray of float, (m,)
-        Heading [rad]: the column `heading` where it agrees with the track, because a compass knows it better than
-        positions do; otherwise the direction of the track.
+    `good` (m,): its rows with a usable fix; `piece` (m,): number of the piece between gaps; `interval`: the usual time
+    between fixes [s]; `speed` (m,): of the track [m/s]. Result (m,): heading [rad]: the column `heading` where it
+    agrees with the track, because a compass knows it better than positions do; otherwise the direction of the track.
     """
     track = direction_of_travel(run.t[good], run.x[good], run.y[good], piece, interval)
     pointed = compass_headings(run, good, piece, interval, speed, track)
@@ -57,19 +42,8 @@ def direction_of_travel(
 ) -> FloatArray:
     """Return the direction of a track.
 
-    Parameters
-    ----------
-    t, x, y : ndarray of float, (m,)
-        Stamps [s] and positions [m].
-    piece : ndarray of int, (m,)
-        Number of the piece between gaps.
-    interval : float
-        The usual time between fixes [s].
-
-    Returns
-    -------
-    ndarray of float, (m,)
-        Heading [rad].
+    `t`, `x`, `y` (m,): stamps [s] and positions [m]; `piece` (m,): number of the piece between gaps; `interval`: the
+    usual time between fixes [s]. Result (m,): heading [rad].
     """
     _, _, vx, vy = smooth(t, x, y, piece, max(_TRACK_HEADING_S, interval))
     return heading_of(vx, vy)
@@ -85,25 +59,8 @@ def compass_headings(
 ) -> FloatArray | None:
     """Return the column `heading`, smoothed, if it agrees with the direction of the track.
 
-    Parameters
-    ----------
-    run : Run
-        The run.
-    good : ndarray of int, (m,)
-        Its rows on the track.
-    piece : ndarray of int, (m,)
-        Number of the piece between gaps.
-    interval : float
-        The usual time between fixes [s].
-    speed : ndarray of float, (m,)
-        Of the track [m/s].
-    track : ndarray of float, (m,)
-        Its direction [rad].
-
-    Returns
-    -------
-    ndarray of float, (m,), or None
-        Heading [rad].
+    `good` (m,): its rows on the track; `piece` (m,): number of the piece between gaps; `interval`: the usual time
+    between fixes [s]; `speed` (m,): of the track [m/s]; `track` (m,): its direction [rad]. Result (m,): heading [rad].
     """
     compass = run.extras.get("heading")
     if compass is None or np.isfinite(compass[good]).mean() < 0.8:
@@ -124,17 +81,8 @@ def without_jumps(t: FloatArray, heading: FloatArray) -> FloatArray:
     A change by more than a quarter turn between two rows less than a quarter second apart is no turning: no ground
     vehicle turns by a full circle in a second.
 
-    Parameters
-    ----------
-    t : ndarray of float, (n,)
-        Stamps [s].
-    heading : ndarray of float, (n,)
-        Unwrapped [rad].
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        The heading [rad]; what lies before a jump is turned by it.
+    `t` (n,): stamps [s]; `heading` (n,): unwrapped [rad]. Result (n,): the heading [rad]; what lies before a jump is
+    turned by it.
     """
     step = np.diff(heading)
     jump = np.where((np.abs(step) > _JUMP_RAD) & (np.diff(t) < _JUMP_S), step, 0.0)
@@ -144,20 +92,9 @@ def without_jumps(t: FloatArray, heading: FloatArray) -> FloatArray:
 def turns_between(t: FloatArray, heading: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the heading change of segments, followed through every sample.
 
-    Parameters
-    ----------
-    t : ndarray of float, (m,)
-        Stamps [s].
-    heading : ndarray of float, (m,)
-        At these stamps [rad].
-    ends : ndarray of float, (n, 2)
-        Fractional positions of p and q.
-
-    Returns
-    -------
-    tuple of ndarray of float
-        Signed [rad], positive to the right, (n,); absolute, (n,); and absolute, where a rate counts only up to each of
-        `TURN_LIMITS_RADPS`, (n, limits).
+    `t` (m,): stamps [s]; `heading` (m,): at these stamps [rad]; `ends` (n, 2): fractional positions of p and q. Result:
+    signed [rad], positive to the right, (n,); absolute, (n,); and absolute, where a rate counts only up to each of
+    `TURN_LIMITS_RADPS`, (n, limits).
     """
     step, dt = wrap_angle(np.diff(heading)), np.diff(t)
     station = np.arange(t.size, dtype=np.float64)
@@ -175,23 +112,9 @@ def track_speeds(
 ) -> FloatArray:
     """Return the speed of the robot.
 
-    Parameters
-    ----------
-    run : Run
-        The run.
-    good : ndarray of int, (m,)
-        Its rows with a usable fix.
-    piece : ndarray of int, (m,)
-        Number of the piece between gaps.
-    interval : float
-        The usual time between fixes [s].
-    track : ndarray of float, (m,)
-        Speed of the track [m/s].
-
-    Returns
-    -------
-    ndarray of float, (m,)
-        Speed [m/s]: the column `speed`, smoothed, where it agrees with the track; otherwise that of the track.
+    `good` (m,): its rows with a usable fix; `piece` (m,): number of the piece between gaps; `interval`: the usual time
+    between fixes [s]; `track` (m,): speed of the track [m/s]. Result (m,): speed [m/s]: the column `speed`, smoothed,
+    where it agrees with the track; otherwise that of the track.
     """
     logged = run.extras.get("speed")
     if logged is None or np.isfinite(logged[good]).mean() < 0.8:
@@ -217,21 +140,9 @@ def stationary_intervals(
     In such an interval the robot stays where it is and draws evenly and little. A robot that turns on the spot, or that
     lost its position while driving, is not stationary.
 
-    Parameters
-    ----------
-    t, x, y : ndarray of float, (m,)
-        Stamps [s] and smoothed positions [m].
-    piece : ndarray of int, (m,)
-        As `pieces_of` returns it.
-    stamps, power : ndarray of float, (n,)
-        Stamps [s] and power [W], or current [A], of all rows.
-    speed : ndarray of float, (n,), optional
-        Logged speed [m/s].
-
-    Returns
-    -------
-    tuple of (int, float, float)
-        0, duration [s] and energy of each, without its first and last half second.
+    `t`, `x`, `y` (m,): stamps [s] and smoothed positions [m]; `piece` (m,): as `pieces_of` returns it; `stamps`,
+    `power` (n,): stamps [s] and power [W], or current [A], of all rows; `speed` (n,): logged speed [m/s]. Result: 0,
+    duration [s] and energy of each, without its first and last half second.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[1], (piece != 0).astype(int), [1]])))
     usual = float(np.median(power))
@@ -256,21 +167,8 @@ def pieces_of(
 ) -> tuple[NDArray[np.int64], int]:
     """Divide a track at gaps and stationary intervals.
 
-    Parameters
-    ----------
-    t, speed : ndarray of float, (n,)
-        Stamps [s] and speeds [m/s].
-    gap : ndarray of bool, (n,)
-        True where a gap lies before the sample.
-    standing_mps : float
-        Below this speed the robot is stationary [m/s].
-    standing_s : float
-        Shortest stationary interval [s].
-
-    Returns
-    -------
-    tuple of (ndarray of int, int)
-        Number of the piece of each sample, (n,), 0 while stationary; and the number of stationary intervals.
+    `t`, `speed` (n,): stamps [s] and speeds [m/s]; `gap` (n,): True where a gap lies before the sample. Result: number
+    of the piece of each sample, (n,), 0 while stationary; and the number of stationary intervals.
     """
     n = t.size
     piece = np.zeros(n, dtype=np.int64)
@@ -301,19 +199,8 @@ def pieces_of(
 def cut_chords(x: FloatArray, y: FloatArray, piece: NDArray[np.int64], length: float) -> tuple[FloatArray, int]:
     """Cut a track into chords of equal length, one after the other within each piece.
 
-    Parameters
-    ----------
-    x, y : ndarray of float, (n,)
-        Positions [m].
-    piece : ndarray of int, (n,)
-        Number of the piece; 0 is not cut.
-    length : float
-        Of a chord, in a straight line [m].
-
-    Returns
-    -------
-    tuple of (ndarray of float, int)
-        Fractional positions of both ends, (chords, 2); and how many pieces end in a remainder.
+    `x`, `y` (n,): positions [m]; `piece` (n,): number of the piece, 0 is not cut; `length`: of a chord, in a straight
+    line [m]. Result: fractional positions of both ends, (chords, 2); and how many pieces end in a remainder.
     """
     n = x.size
     ends = np.empty((n + 1, 2))
@@ -358,17 +245,7 @@ def cut_chords(x: FloatArray, y: FloatArray, piece: NDArray[np.int64], length: f
 def integral(t: FloatArray, power: FloatArray, at: FloatArray) -> FloatArray:
     """Integrate a piecewise linear power from the first stamp, exactly.
 
-    Parameters
-    ----------
-    t, power : ndarray of float, (n,)
-        Stamps [s] and values.
-    at : ndarray of float, (m,)
-        Stamps to integrate to [s].
-
-    Returns
-    -------
-    ndarray of float, (m,)
-        The integrals.
+    `t`, `power` (n,): stamps [s] and values; `at` (m,): stamps to integrate to [s]. The result is (m,).
     """
     total = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)

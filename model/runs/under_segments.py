@@ -29,18 +29,7 @@ _GROUND = (
 
 
 def unread_ground(n: int) -> dict[str, FloatArray]:
-    """Return the features of ground that is not read.
-
-    Parameters
-    ----------
-    n : int
-        Number of segments.
-
-    Returns
-    -------
-    dict of str to ndarray of float
-        As `ground_under`, all NaN.
-    """
+    """Return the features of ground that is not read. Result: as `ground_under`, all NaN."""
     return dict.fromkeys(_GROUND, np.full(n, np.nan)) | {"grades": np.full((n, PLACES), np.nan)}
 
 
@@ -49,23 +38,8 @@ def ground_under(
 ) -> dict[str, FloatArray]:
     """Return slopes, roughness and height of the square metre around the middle of each segment, along its heading.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        Whose wheels stand on it.
-    x, y : ndarray of float, (n,)
-        Middles [m].
-    heading_rad : ndarray of float, (n,)
-        Headings [rad].
-    moved : bool
-        Also read how the grade changes when the map is moved; otherwise it does not.
-
-    Returns
-    -------
-    dict of str to ndarray of float, (n,) or (n, PLACES)
-        By the names of `Features`; NaN where the ground is unknown.
+    `x`, `y` (n,): middles [m]; `heading_rad` (n,). Result (n,): by the names of `Features`; NaN where the ground is
+    unknown.
     """
     dx, dy = heading_vector(heading_rad)
 

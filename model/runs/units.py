@@ -88,15 +88,7 @@ _BRACKETED = re.compile(r"^(.*?)[\s_]*[\[(]\s*([^\])]+?)\s*[\])]\s*$")
 def quantity_of(target: str) -> str | None:
     """Return the quantity of one of joulemap's columns.
 
-    Parameters
-    ----------
-    target : str
-        Its name, such as `voltage` or `current_left`.
-
-    Returns
-    -------
-    str or None
-        A key of `UNITS`; None for a column that has no unit of its own.
+    Result: a key of `UNITS`; None for a column that has no unit of its own.
     """
     if target == "current" or target.startswith("current_") or target in ("left_current", "right_current"):
         return "current"
@@ -104,18 +96,7 @@ def quantity_of(target: str) -> str | None:
 
 
 def own_unit(target: str) -> str:
-    """Return the unit in which joulemap keeps a column.
-
-    Parameters
-    ----------
-    target : str
-        Name of the column.
-
-    Returns
-    -------
-    str
-        Empty where it has none.
-    """
+    """Return the unit in which joulemap keeps a column."""
     quantity = quantity_of(target)
     return next(iter(UNITS[quantity])) if quantity is not None else ""
 
@@ -123,17 +104,7 @@ def own_unit(target: str) -> str:
 def known_unit(target: str, word: str) -> str | None:
     """Return a unit by its usual name.
 
-    Parameters
-    ----------
-    target : str
-        Column that is in this unit.
-    word : str
-        As somebody wrote it; a plain number is a factor, and a unit of every column.
-
-    Returns
-    -------
-    str or None
-        A key of `UNITS`, or the number; None where the quantity has no such unit.
+    Result: a key of `UNITS`, or the number; None where the quantity has no such unit.
     """
     quantity = quantity_of(target)
     units = UNITS.get(quantity or "", {})
@@ -147,25 +118,7 @@ def known_unit(target: str, word: str) -> str | None:
 
 
 def conversion(target: str, unit: str) -> tuple[float, float]:
-    """Return how values in a unit become joulemap's.
-
-    Parameters
-    ----------
-    target : str
-        Name of the column.
-    unit : str
-        As `known_unit` returns it.
-
-    Returns
-    -------
-    tuple of float
-        Factor, and the offset that is added after it.
-
-    Raises
-    ------
-    RunsError
-        If the column is in no such unit.
-    """
+    """Return how values in a unit become joulemap's. Result: factor, and the offset that is added after it."""
     units = UNITS.get(quantity_of(target) or "", {})
     if unit in units:
         return units[unit]
@@ -179,17 +132,8 @@ def conversion(target: str, unit: str) -> tuple[float, float]:
 def unit_in_name(target: str, column: str) -> tuple[str, str | None]:
     """Return the unit that the name of a column ends with.
 
-    Parameters
-    ----------
-    target : str
-        What the column is, or may be.
-    column : str
-        Such as `batt_current_mA`, `Voltage [mV]` or `speed (km/h)`.
-
-    Returns
-    -------
-    tuple of (str, str or None)
-        The name without the unit, and the unit; None where the name says none.
+    `column`: such as `batt_current_mA`, `Voltage [mV]` or `speed (km/h)`. Result: the name without the unit, and the
+    unit; None where the name says none.
     """
     for phrase, unit_word in _PHRASES:
         column = phrase.sub(unit_word, column)
@@ -218,15 +162,8 @@ def _factor(word: str) -> float | None:
 def watts_of_column(column: str) -> float | None:
     """Return how many watts one unit of a logged column is, by its name.
 
-    Parameters
-    ----------
-    column : str
-        Such as `Heating Power [kW]`, `computer_w` or `auxiliary power`.
-
-    Returns
-    -------
-    float or None
-        None where it is not called a power.
+    `column`: such as `Heating Power [kW]`, `computer_w` or `auxiliary power`. Result: None where it is not called a
+    power.
     """
     name, unit = unit_in_name("power", column)
     if unit is None:

@@ -19,25 +19,7 @@ _BAG_PARTS = (".mcap", ".db3", ".zstd", ".yaml")
 
 
 def unpacked(source: SourceFile) -> SourceFile:
-    """Return what a packed log holds.
-
-    Parameters
-    ----------
-    source : SourceFile
-        Any file.
-
-    Returns
-    -------
-    SourceFile
-        The same, where it is not packed, or is the archive of a bag.
-
-    Raises
-    ------
-    RunsError
-        If it is broken, or holds several files that are no bag.
-    TooLargeError
-        If it unpacks to more than the limit.
-    """
+    """Return what a packed log holds."""
     packed = source.head.startswith(b"\x1f\x8b") and not source.name.lower().endswith((".tar.gz", ".tgz"))
     if not packed and not source.head.startswith(b"PK\x03\x04"):
         return source

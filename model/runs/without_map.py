@@ -40,28 +40,7 @@ def sites_without_map(
 ) -> list[Site]:
     """Return a site for each run without positions: the ground that its log describes.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        With a speed or a distance; `z` has the heights [m], and without it the ground is level.
-    robot : Robot
-        That drove.
-    baseline_files, test_files : sequence of Path
-        As in `Site`; a test run is in nothing else.
-    odometry : Odometry, optional
-        Integrate the wheel speeds of both sides on level ground.
-
-    Returns
-    -------
-    list of Site
-        In the order of the files.
-
-    Raises
-    ------
-    InputError
-        If a run has positions, so that a heightmap is needed.
-    RunsError
-        If one cannot be read.
+    `files`: with a speed or a distance, `z` has the heights [m], and without it the ground is level.
     """
     tests = {file.resolve() for file in test_files}
     learned, baseline = ([f for f in some if f.resolve() not in tests] for some in (files, baseline_files))
@@ -92,25 +71,8 @@ def _read(file: Path, odometry: Odometry | None) -> Run:
 def ground_of_profile(run: Run, *, length_m: float = 1.0) -> Heightmap:
     """Return the strip on which a run without positions was driven.
 
-    Parameters
-    ----------
-    run : Run
-        With a distance as its `y`; the column `z` has its heights [m]. Without them the ground is level.
-    length_m : float
-        Of the segments [m].
+    `run`: with a distance as its `y`, the column `z` has its heights [m].
 
-    Returns
-    -------
-    Heightmap
-        Of cells of 1 m.
-
-    Raises
-    ------
-    RunsError
-        If the run has positions, or is too long.
-
-    Notes
-    -----
     Heights that are rounded to a step dz are smoothed over dz / 0.02 along the way, so that a step of the number is no
     step of the ground; and over the length of a segment, whose slope is that in its middle.
     """

@@ -63,15 +63,7 @@ _COUNTS = {
 def count_words(counts: Mapping[str, int]) -> str:
     """Return what of the runs is not made a segment, or what was repaired or dropped in a log.
 
-    Parameters
-    ----------
-    counts : mapping of str to int
-        Key, as in `Segments.left_out` or `Run.repairs` -> count.
-
-    Returns
-    -------
-    str
-        Such as "16 gaps, 2 voltage spikes"; empty where there is nothing.
+    Result: such as "16 gaps, 2 voltage spikes"; empty where there is nothing.
     """
 
     def _words(key: str, count: int) -> str:
@@ -86,70 +78,22 @@ def count_words(counts: Mapping[str, int]) -> str:
 
 
 def quantity_name(key: str) -> str:
-    """Return what a quantity that effects depend on is called.
-
-    Parameters
-    ----------
-    key : str
-        As `joulemap.model.runs.features.quantity` takes it.
-
-    Returns
-    -------
-    str
-        A logged column has its own name.
-    """
+    """Return what a quantity that effects depend on is called. A logged column has its own name."""
     return _QUANTITIES[key][0] if key in _QUANTITIES else key.removeprefix("column:")
 
 
 def quantity_words(key: str) -> tuple[str, str]:
-    """Return the name and the unit of a quantity.
-
-    Parameters
-    ----------
-    key : str
-        As `quantity_name` takes it.
-
-    Returns
-    -------
-    tuple of str
-        The unit is empty where there is none, or where it is not known.
-    """
+    """Return the name and the unit of a quantity. The unit is empty where there is none, or where it is not known."""
     return quantity_name(key), _QUANTITIES.get(key, ("", ""))[1]
 
 
 def quantity_value(key: str, value: float) -> str:
-    """Return a value of a quantity with its unit.
-
-    Parameters
-    ----------
-    key : str
-        As `joulemap.model.runs.features.quantity` takes it.
-    value : float
-        As that function returns it.
-
-    Returns
-    -------
-    str
-        Such as "0.5 m/s".
-    """
+    """Return a value of a quantity with its unit."""
     unit = _QUANTITIES.get(key, ("", ""))[1]
     return f"{f'{value:.1f}' if key in _TENTHS else number_words(value)} {unit}".rstrip()
 
 
 def number_words(value: float, *, signed: bool = False) -> str:
-    """Return a number with three significant digits.
-
-    Parameters
-    ----------
-    value : float
-        Of any size.
-    signed : bool
-        Whether a positive number has its sign.
-
-    Returns
-    -------
-    str
-        Such as "0.5", "348" and "3,780": thousands have no exponent.
-    """
+    """Return a number with three significant digits."""
     rounded, sign = float(f"{value:.3g}"), "+" if signed else ""
     return f"{rounded:{sign},.0f}" if 1e3 <= abs(rounded) < 1e9 else f"{value:{sign}.3g}"

@@ -14,15 +14,7 @@ _ROWS = 20_000  # written at a time
 
 
 def write_csv(path: str | Path, table: Table) -> None:
-    """Write a log as CSV that reads back the same.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file; its folder must be there.
-    table : Table
-        As `read_log` returns it.
-    """
+    """Write a log as CSV that reads back the same."""
     first = [column for column in _FIRST if column in table.numbers]
     columns: dict[str, np.ndarray] = {column: table.numbers[column] for column in first}
     columns |= {column: values for column, values in table.numbers.items() if column not in columns}

@@ -28,28 +28,9 @@ _SAME_BODY = 0.01  # spheres and old ellipsoids of the Earth differ by less
 def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: bool = False) -> str:
     """Return the name of a CRS whose coordinates are true metres; refuse any other.
 
-    Parameters
-    ----------
-    crs : CRS or str
-        The CRS, or a text: "EPSG:n" or WKT.
-    bounds : tuple of float, optional
-        West, south, east and north of the map, in the units of the CRS. The refusal then says which UTM zone the map
-        lies in.
-    nodata_declared : bool, optional
-        Whether the map's file declares a no-data value, which the command in the refusal needs.
+    `bounds`: west, south, east and north of the map, in the units of the CRS. The refusal then says which UTM zone the
+    map lies in. Result: "EPSG:n" where the CRS has such a code, else WKT.
 
-    Returns
-    -------
-    str
-        "EPSG:n" where the CRS has such a code, else WKT.
-
-    Raises
-    ------
-    HeightmapError
-        If the CRS is unknown, in degrees or feet, a Mercator projection, or has parameters that it cannot have.
-
-    Notes
-    -----
     A Mercator projection stretches every length by 1 / cos(latitude): Snyder 1987, Map Projections: A Working Manual
     (USGS Professional Paper 1395), eq. 7-3 on the sphere. UTM stretches by 0.9996 to 1.001.
     """
@@ -94,23 +75,7 @@ def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: b
 
 
 def known_crs(crs: CRS | str) -> CRS:
-    """Return a CRS by its name, whatever its unit.
-
-    Parameters
-    ----------
-    crs : CRS or str
-        The CRS, or a text: "EPSG:n" or WKT.
-
-    Returns
-    -------
-    CRS
-        Of rasterio.
-
-    Raises
-    ------
-    HeightmapError
-        If there is no such CRS.
-    """
+    """Return a CRS by its name, whatever its unit."""
     if not isinstance(crs, str):
         return crs
     try:
@@ -129,15 +94,7 @@ def known_crs(crs: CRS | str) -> CRS:
 def geographic(crs: CRS | str) -> str:
     """Return the longitudes and latitudes of the body that a CRS lies on.
 
-    Parameters
-    ----------
-    crs : CRS or str
-        Any.
-
-    Returns
-    -------
-    str
-        "EPSG:4326" on the Earth, else the geographic CRS in WKT that `crs` is based on.
+    Result: "EPSG:4326" on the Earth, else the geographic CRS in WKT that `crs` is based on.
     """
     from pyproj import CRS as ProjCRS
 
@@ -148,18 +105,7 @@ def geographic(crs: CRS | str) -> str:
 
 
 def on_earth(crs: CRS | str) -> bool:
-    """Decide whether a CRS lies on the Earth, by the size of its ellipsoid.
-
-    Parameters
-    ----------
-    crs : CRS or str
-        Any.
-
-    Returns
-    -------
-    bool
-        True also where it names none.
-    """
+    """Decide whether a CRS lies on the Earth, by the size of its ellipsoid. Result: True also where it names none."""
     from pyproj import CRS as ProjCRS
 
     body = ProjCRS.from_wkt(known_crs(crs).to_wkt()).ellipsoid
@@ -167,18 +113,7 @@ def on_earth(crs: CRS | str) -> bool:
 
 
 def flat_crs(wkt: str) -> str:
-    """Return the part of a CRS that says where on the ground a place is.
-
-    Parameters
-    ----------
-    wkt : str
-        Of any CRS, also one with heights.
-
-    Returns
-    -------
-    str
-        Its WKT without the vertical part.
-    """
+    """Return the part of a CRS that says where on the ground a place is."""
     from pyproj import CRS as ProjCRS
 
     crs = ProjCRS.from_wkt(wkt)
@@ -188,18 +123,8 @@ def flat_crs(wkt: str) -> str:
 def scale_errors(crs: str, longitude: ArrayLike, latitude: ArrayLike) -> NDArray[np.float64]:
     """Return by how much a CRS stretches lengths.
 
-    Parameters
-    ----------
-    crs : str
-        "EPSG:n" or WKT, a projection.
-    longitude, latitude : array_like, (n,)
-        WGS 84 [deg].
-
-    Returns
-    -------
-    ndarray of float, (2 n,)
-        Length in the CRS over true length, less one: along the meridians, then along the parallels. Zeros where the
-        CRS is no projection of the Earth.
+    `longitude`, `latitude` (n,): WGS 84 [deg]. Result (2 n,): length in the CRS over true length, less one: along the
+    meridians, then along the parallels.
     """
     from pyproj import Proj
     from pyproj.exceptions import ProjError
@@ -254,20 +179,7 @@ def _stretch_here(centre: tuple[float, float] | None) -> str:
 
 
 def warp_command(options: str, *, nodata_declared: bool) -> str:
-    """Return the command that resamples a raster; `rio` is installed with rasterio.
-
-    Parameters
-    ----------
-    options : str
-        What is to be done, e.g. `--dst-crs EPSG:32630`.
-    nodata_declared : bool
-        Whether the file declares a no-data value. Without one, the corners that are added would be ground at 0 m.
-
-    Returns
-    -------
-    str
-        The command in backticks.
-    """
+    """Return the command that resamples a raster; `rio` is installed with rasterio."""
     nodata = "" if nodata_declared else " --src-nodata -9999 --dst-nodata -9999"
     return f"`rio warp IN OUT {options} --resampling bilinear{nodata}`"
 
@@ -275,18 +187,9 @@ def warp_command(options: str, *, nodata_declared: bool) -> str:
 def utm_zone(longitude: float, latitude: float) -> str | None:
     """Return the UTM zone of a place.
 
-    Parameters
-    ----------
-    longitude, latitude : float
-        WGS 84 [deg].
+    `longitude`, `latitude`: WGS 84 [deg]. Result: such as EPSG:32630; None beyond 80 degrees south and 84 degrees
+    north, where there is none.
 
-    Returns
-    -------
-    str or None
-        Such as EPSG:32630; None beyond 80 degrees south and 84 degrees north, where there is none.
-
-    Notes
-    -----
     The zones are six degrees wide; the exceptions around Norway and Svalbard are not made, because their regular zones
     serve as well.
     """

@@ -47,23 +47,7 @@ class Cells:
 
 
 def corners_of(window: WindowLike) -> tuple[float, float, float, float]:
-    """Return the four numbers of a window.
-
-    Parameters
-    ----------
-    window : str or sequence of float
-        As the user gave it.
-
-    Returns
-    -------
-    tuple of float
-        The first corner and the opposite one.
-
-    Raises
-    ------
-    HeightmapError
-        If it is something else.
-    """
+    """Return the four numbers of a window."""
     try:
         numbers = [float(part) for part in (window.split(",") if isinstance(window, str) else window)]
     except (TypeError, ValueError):
@@ -78,30 +62,7 @@ def corners_of(window: WindowLike) -> tuple[float, float, float, float]:
 
 
 def cells_of(window: WindowLike, crs: str | None, transform: Affine, shape: tuple[int, int]) -> Cells:
-    """Return the cells of a grid that a window holds, as a whole or in part.
-
-    Parameters
-    ----------
-    window : str or sequence of float
-        Two opposite corners: x, y of the CRS, or latitude, longitude where that is on the map and x, y are not. In a
-        CRS of degrees always latitude, longitude.
-    crs : str or None
-        Of the grid.
-    transform : Affine
-        From (column, row) to x, y.
-    shape : tuple of int
-        Rows and columns.
-
-    Returns
-    -------
-    Cells
-        At least 2 x 2.
-
-    Raises
-    ------
-    HeightmapError
-        If the window does not lie on the map.
-    """
+    """Return the cells of a grid that a window holds, as a whole or in part."""
     a, b, c, d = corners_of(window)
     if crs is None or not known_crs(crs).is_geographic:
         found = _cells(transform, shape, *_rim(min(a, c), min(b, d), max(a, c), max(b, d)))
@@ -151,18 +112,7 @@ def _span(crs: str | None, transform: Affine, shape: tuple[int, int]) -> str:
 
 
 def transform_of(frame: GridFrame) -> Affine:
-    """Return the transform of a north-up grid of square cells.
-
-    Parameters
-    ----------
-    frame : GridFrame
-        The grid.
-
-    Returns
-    -------
-    Affine
-        From (column, row) to x, y.
-    """
+    """Return the transform of a north-up grid of square cells. Result: from (column, row) to x, y."""
     side = frame.resolution_m
     return Affine(side, 0.0, frame.west_m, 0.0, -side, frame.north_m)
 
@@ -215,20 +165,7 @@ class PartReader:
         return self.whole.notes
 
     def read(self, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
-        """Return the heights of a window of the part.
-
-        Parameters
-        ----------
-        scaling : Scaling
-            How stored values become metres.
-        rows, cols : slice
-            The window; row 0 is the northern one.
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols)
-            Heights [m], NaN where unknown.
-        """
+        """Return the heights of a window of the part. Result (rows, cols): heights [m], NaN where unknown."""
         down, right = self.cells.row0, self.cells.col0
         return self.whole.read(
             scaling, slice(rows.start + down, rows.stop + down), slice(cols.start + right, cols.stop + right)

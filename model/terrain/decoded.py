@@ -60,17 +60,7 @@ class Decoded:
     def read(self, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
         """Return the heights of a window, which are in metres already.
 
-        Parameters
-        ----------
-        scaling : Scaling
-            Not used.
-        rows, cols : slice
-            The window; row 0 is the northern one.
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols)
-            Heights [m], NaN where unknown.
+        Result (rows, cols): heights [m], NaN where unknown.
         """
         return self.heights[rows, cols]
 
@@ -89,11 +79,6 @@ class Scaling:
         Stored value of unknown cells, in addition to what the file declares.
     cell_m : float or None
         Side of a cell that the user wants, for formats of points, which have none.
-
-    Raises
-    ------
-    HeightmapError
-        If scale or offset is no usable number.
     """
 
     scale_m: float | None = None
@@ -125,27 +110,8 @@ class Scaling:
     ) -> NDArray[np.float32]:
         """Turn stored values into metres.
 
-        Parameters
-        ----------
-        values : ndarray
-            Stored values, of any real type and shape.
-        band_scale, band_offset : float, optional
-            The file's own scale and offset, applied first.
-        known : ndarray of bool, optional
-            Where the file says that a height is known, in the shape of `values`.
+        Result: heights [m] in the shape of `values`, NaN where unknown.
 
-        Returns
-        -------
-        ndarray of float32
-            Heights [m] in the shape of `values`, NaN where unknown.
-
-        Raises
-        ------
-        HeightmapError
-            On an undeclared no-data value, and on a height beyond `joulemap.model.ranges.HEIGHT_M`.
-
-        Notes
-        -----
         Large arrays are converted in parts, so that a big map needs no second copy of itself. Of unsigned integers
         of 8 or 16 bits each possible value is converted once.
         """
@@ -223,24 +189,7 @@ class Scaling:
 
 
 def check_cells(rows: int, cols: int, max_cells: int, *, what: str = "the file") -> None:
-    """Refuse a declared size before memory is allocated for it.
-
-    Parameters
-    ----------
-    rows, cols : int
-        The declared size.
-    max_cells : int
-        Largest number of cells.
-    what : str, optional
-        What messages call the file.
-
-    Raises
-    ------
-    TooLargeError
-        If there are more than `max_cells` cells, or a side is longer than `MAX_SIDE`.
-    HeightmapError
-        If there is none, or the map is a single row or column.
-    """
+    """Refuse a declared size before memory is allocated for it."""
     if not (1 <= rows <= _MOST and 1 <= cols <= _MOST):
         size = f"{ranges.short(rows)} x {ranges.short(cols)}"
         if min(rows, cols) < 1:

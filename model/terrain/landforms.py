@@ -22,31 +22,8 @@ def fractal(
 ) -> HeightArray:
     """Make an isotropic Gaussian random surface with a power-law spectrum between two wavelengths.
 
-    Parameters
-    ----------
-    frame : GridFrame
-        Where the surface lies.
-    rng : Generator
-        Source of randomness.
-    exponent : float
-        The 2-D spectral density falls as wavenumber^-exponent.
-    rms_m : float
-        Root mean square of the heights [m], on the grid that the surface is cut out of.
-    longest_m, shortest_m : float
-        The two wavelengths [m]; shortest_m = 0 means down to the cell.
+    Result (rows, cols): heights [m].
 
-    Returns
-    -------
-    ndarray of float32, (rows, cols)
-        Heights [m].
-
-    Raises
-    ------
-    InputError
-        If no wave of these lengths fits on the map.
-
-    Notes
-    -----
     Filtered white noise, by FFT on a grid that is larger by `longest_m`, so that opposite edges do not match.
     """
     margin = math.ceil(min(longest_m, 0.5 * max(frame.shape) * frame.resolution_m) / frame.resolution_m)
@@ -75,22 +52,7 @@ def fractal(
 
 
 def tilted_plane(frame: GridFrame, *, slope_rad: float, heading_rad: float) -> HeightArray:
-    """Make a tilted plane, zero at the south-west corner.
-
-    Parameters
-    ----------
-    frame : GridFrame
-        Where it lies.
-    slope_rad : float
-        Slope [rad].
-    heading_rad : float
-        Heading towards which it climbs [rad].
-
-    Returns
-    -------
-    ndarray of float32, (rows, cols)
-        Heights [m].
-    """
+    """Make a tilted plane, zero at the south-west corner. Result (rows, cols): heights [m]."""
     dx, dy = heading_vector(heading_rad)
     x, y = frame.centres()
     west, south, _, _ = frame.bounds
@@ -99,50 +61,14 @@ def tilted_plane(frame: GridFrame, *, slope_rad: float, heading_rad: float) -> H
 
 
 def hill(frame: GridFrame, *, x: float, y: float, height_m: float, radius_m: float) -> HeightArray:
-    """Make a Gaussian hill.
-
-    Parameters
-    ----------
-    frame : GridFrame
-        Where it lies.
-    x, y : float
-        World place of the top [m].
-    height_m : float
-        Height of the top [m].
-    radius_m : float
-        Distance from the top at which the hill is steepest [m], with a slope of 0.607 height_m / radius_m.
-
-    Returns
-    -------
-    ndarray of float32, (rows, cols)
-        Heights [m].
-    """
+    """Make a Gaussian hill. `x`, `y`: world place of the top [m]. Result (rows, cols): heights [m]."""
     xs, ys = frame.centres()
     across = np.exp(-0.5 * ((xs - x) / radius_m) ** 2)
     return (height_m * np.exp(-0.5 * ((ys - y) / radius_m) ** 2)[:, None] * across[None, :]).astype(np.float32)
 
 
 def furrows(frame: GridFrame, rng: Generator, *, depth_m: float, spacing_m: float, heading_rad: float) -> HeightArray:
-    """Make parallel sine furrows with a random phase.
-
-    Parameters
-    ----------
-    frame : GridFrame
-        Where they lie.
-    rng : Generator
-        Source of the phase.
-    depth_m : float
-        Height from bottom to crest [m].
-    spacing_m : float
-        Distance from crest to crest [m].
-    heading_rad : float
-        Heading along which they run [rad].
-
-    Returns
-    -------
-    ndarray of float32, (rows, cols)
-        Heights [m].
-    """
+    """Make parallel sine furrows with a random phase. Result (rows, cols): heights [m]."""
     dx, dy = heading_vector(heading_rad)
     x, y = frame.centres()
     west, south, _, _ = frame.bounds
@@ -152,26 +78,7 @@ def furrows(frame: GridFrame, rng: Generator, *, depth_m: float, spacing_m: floa
 
 
 def bumps(frame: GridFrame, rng: Generator, *, per_m2: float, height_m: float, radius_m: float) -> HeightArray:
-    """Make Gaussian bumps at random places.
-
-    Parameters
-    ----------
-    frame : GridFrame
-        Where they lie.
-    rng : Generator
-        Source of places and sizes.
-    per_m2 : float
-        Mean number of bumps per square metre.
-    height_m : float
-        Mean height [m]; single heights are exponentially distributed. Negative means holes.
-    radius_m : float
-        Mean radius [m]; single radii are uniform within 50 % of it.
-
-    Returns
-    -------
-    ndarray of float32, (rows, cols)
-        Heights [m].
-    """
+    """Make Gaussian bumps at random places. Result (rows, cols): heights [m]."""
     margin = 4.0 * radius_m
     west, south, east, north = frame.bounds
     count = rng.poisson(per_m2 * (east - west + 2 * margin) * (north - south + 2 * margin))
@@ -205,25 +112,7 @@ def tracks(
 ) -> HeightArray:
     """Make pairs of wheel ruts along random straight lines; where they cross, the deeper one counts.
 
-    Parameters
-    ----------
-    frame : GridFrame
-        Where they lie.
-    rng : Generator
-        Source of the lines.
-    count : int
-        Number of lines.
-    depth_m : float
-        Depth of a rut [m].
-    gauge_m : float
-        Distance between the two ruts of a pair [m].
-    width_m : float
-        Width of a rut [m].
-
-    Returns
-    -------
-    ndarray of float32, (rows, cols)
-        Heights [m], none above 0.
+    Result (rows, cols): heights [m], none above 0.
     """
     x, y = frame.centres()
     west, south, east, north = frame.bounds

@@ -21,38 +21,14 @@ def cut_patches(
 ) -> NDArray[np.float32]:
     """Cut the patches of segments along their heading.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The map.
-    x, y : array_like, (n,)
-        Start p of each segment [m], or what broadcasts to it.
-    heading_rad : array_like, (n,)
-        Heading h of each segment [rad].
-    size : int, optional
-        Rows and columns of a patch.
-    side_m : float, optional
-        Length of its side [m].
+    `x`, `y` (n,): start p of each segment [m], or what broadcasts to it; `heading_rad` (n,): heading h of each segment
+    [rad]. Result (n, size, size): heights [m] above the lowest one of the patch. NaN throughout where a patch leaves
+    the map or meets an unknown height.
 
-    Returns
-    -------
-    ndarray of float32, (n, size, size)
-        Heights [m] above the lowest one of the patch. NaN throughout where a patch leaves the map or meets an unknown
-        height.
-
-    Raises
-    ------
-    InputError
-        If `size` or `side_m` make no patch, or the points are no list.
-
-    Notes
-    -----
     p is the middle of the patch's bottom edge (last row) and q = p + side_m (sin h, cos h) the middle of its top edge
     (row 0). Column 0 lies to the left of the motion. Samples include the edges and are bilinear.
 
-    References
-    ----------
-    Wei & Isler 2022, sections IV-B and IV-D (size 256, side 1 m).
+    Reference: Wei & Isler 2022, sections IV-B and IV-D (size 256, side 1 m).
     """
     _check_square(size, side_m, "side_m")
     xs, ys, headings = _flat(x, y, heading_rad)
@@ -74,34 +50,11 @@ def cut_squares(
 ) -> NDArray[np.float32]:
     """Cut squares around places, north-up or turned.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The map.
-    x, y : array_like, (n,)
-        Centres [m], or what broadcasts to them.
-    size : int
-        Rows and columns of a square.
-    pixel_m : float
-        Distance between its samples [m].
-    pad_m : float, optional
-        How far a square may leave the map [m].
-    turned_rad : array_like, (n,), optional
-        Turn of each square, counter-clockwise: its row 0 faces the heading -turned_rad [rad].
+    `x`, `y` (n,): centres [m], or what broadcasts to them; `turned_rad` (n,): turn of each square, counter-clockwise:
+    its row 0 faces the heading -turned_rad [rad]. Result (n, size, size): heights [m] relative to the centre; row 0 is
+    north and column 0 west. NaN throughout where a square meets an unknown height, or leaves the map by more than
+    `pad_m`.
 
-    Returns
-    -------
-    ndarray of float32, (n, size, size)
-        Heights [m] relative to the centre; row 0 is north and column 0 west. NaN throughout where a square meets an
-        unknown height, or leaves the map by more than `pad_m`.
-
-    Raises
-    ------
-    InputError
-        If a length is not positive, or the points are no list.
-
-    Notes
-    -----
     Sample i lies (i - (size - 1) / 2) pixel_m from the centre. Beyond the map's edge the heights are continued by odd
     reflection at the outer cell centres, 2 h(edge) - h(mirror image), as numpy's pad(mode="reflect",
     reflect_type="odd") does. A plane thus stays a plane.

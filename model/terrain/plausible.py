@@ -30,15 +30,7 @@ _FAR_M = 10_000.0  # a local plane begins near zero, a national grid does not
 def heightmap_warnings(ground: Ground) -> list[str]:
     """Return what of a map is hardly what it is taken for.
 
-    Parameters
-    ----------
-    ground : Ground
-        A map of any size; a large one is judged by windows spread over it.
-
-    Returns
-    -------
-    list of str
-        A sentence for each finding; empty where all is plausible.
+    Result: a sentence for each finding; empty where all is plausible.
     """
     sample, frame = overview(ground), ground.frame
     found = _heights(sample)

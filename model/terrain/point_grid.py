@@ -20,30 +20,7 @@ _POINTS_PER_CELL = 9.0
 class PointGrid:
     """Sums heights by cell, part by part, so that memory is taken for cells and not for points.
 
-    Parameters
-    ----------
-    bounds : tuple of float
-        West, south, east and north of the points.
-    points : int
-        How many there are.
-    cell_m : float, optional
-        Side of a cell; without it, as large as nine points need on average.
-    max_cells : int
-        Largest number of cells.
-    what : str
-        What messages call the file.
-
-    Attributes
-    ----------
-    west_m, north_m, cell_m : float
-        Place and side of the cells, in the unit of the points.
-
-    Raises
-    ------
-    HeightmapError
-        If the bounds are no area, or lie beyond all coordinates.
-    TooLargeError
-        If there would be too many cells.
+    `bounds`: west, south, east and north of the points.
     """
 
     def __init__(
@@ -75,18 +52,7 @@ class PointGrid:
         self._counts = np.zeros(rows * cols, dtype=np.uint32)
 
     def add(self, x: FloatArray, y: FloatArray, z: FloatArray) -> None:
-        """Take some points.
-
-        Parameters
-        ----------
-        x, y, z : ndarray of float, (n,)
-            Places and heights.
-
-        Raises
-        ------
-        HeightmapError
-            If one lies outside of the bounds.
-        """
+        """Take some points. `x`, `y`, `z` (n,): places and heights."""
         rows, cols = self._shape
         col = np.floor((x - self.west_m) / self.cell_m)
         row = np.floor((self.north_m - y) / self.cell_m)
@@ -100,13 +66,7 @@ class PointGrid:
         self._counts[first:last] += np.bincount(cell - first, minlength=last - first).astype(np.uint32)
 
     def heights(self) -> NDArray[np.float64]:
-        """Return the means.
-
-        Returns
-        -------
-        ndarray of float64, (rows, cols)
-            NaN in cells without a point.
-        """
+        """Return the means. Result (rows, cols): NaN in cells without a point."""
         with np.errstate(invalid="ignore", divide="ignore"):
             found = self._sums / self._counts
         return found.reshape(self._shape)

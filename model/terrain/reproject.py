@@ -91,25 +91,7 @@ class Warped:
         return float(self.transform.a)
 
     def read(self, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
-        """Return the heights of a window.
-
-        Parameters
-        ----------
-        scaling : Scaling
-            How stored values become metres.
-        rows, cols : slice
-            The window; row 0 is the northern one.
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols)
-            Heights [m], NaN where unknown.
-
-        Raises
-        ------
-        HeightmapError
-            If the window cannot be read.
-        """
+        """Return the heights of a window. Result (rows, cols): heights [m], NaN where unknown."""
         heights = np.empty((rows.stop - rows.start, cols.stop - cols.start), np.float32)
         step = max(1, _SCAN_CELLS // max(1, heights.shape[1]))
         with self.raster.dataset() as dataset, self._warped(dataset) as vrt:
@@ -184,44 +166,7 @@ def reproject_file(
     max_cells: int,
     max_cells_whole: int,
 ) -> tuple[Warped, Scaling]:
-    """Return a file as it is on a north-up grid of square cells of true metres.
-
-    Parameters
-    ----------
-    file : SourceFile
-        The file.
-    kind : HeightmapFormat
-        Its format.
-    scaling : Scaling
-        How stored values become metres.
-    to : str
-        "auto", "EPSG:n" or WKT.
-    resolution_m : float, optional
-        Side of a cell of the new grid [m]; without it, that of the file in true metres. Where the file does not say how
-        large its cells are, this is the side of those, in its own unit.
-    west_m, north_m, crs : optional
-        As in `read_heightmap`: what the file does not say. Here `crs` may be in degrees or feet.
-    band : int, optional
-        As in `read_heightmap`.
-    window : str or sequence of float, optional
-        Two opposite corners of the part: x, y of the file's CRS, or latitude, longitude. The new grid lies around it.
-    max_cells : int
-        Largest number of cells of the new grid.
-    max_cells_whole : int
-        Largest number of cells of a file that is not read by windows.
-
-    Returns
-    -------
-    tuple of (Warped, Scaling)
-        The file, and how its values become metres.
-
-    Raises
-    ------
-    HeightmapError
-        If the file names no CRS and none is given, or if the map is too large for one CRS.
-    TooLargeError
-        If the new grid has more than `max_cells` cells.
-    """
+    """Return a file as it is on a north-up grid of square cells of true metres."""
     if kind.code is rasters:
         raster = rasters.open_windows(file, scaling, band=band, north_up=False)
     if kind.code is not rasters or raster.colours is not None or raster.transform.is_identity:

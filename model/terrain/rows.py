@@ -13,20 +13,7 @@ ON_CENTRE = 1e-6
 
 @njit(cache=True, nogil=True)
 def share_of(at, low):
-    """Return the share of the upper one of two cells, 0 or 1 on a centre.
-
-    Parameters
-    ----------
-    at : float
-        Fractional index.
-    low : int
-        Lower index.
-
-    Returns
-    -------
-    float
-        Beyond 0..1 where the two cells are continued linearly.
-    """
+    """Return the share of the upper one of two cells, 0 or 1 on a centre."""
     share = at - low
     if abs(share) < ON_CENTRE:
         return 0.0
@@ -39,18 +26,7 @@ def share_of(at, low):
 def between(at, size):
     """Return the two cells around a fractional index, weighted as `heightmap.bilinear` does.
 
-    Parameters
-    ----------
-    at : float
-        Fractional index.
-    size : int
-        Number of cells.
-
-    Returns
-    -------
-    tuple
-        Lower index, upper index, and share of the upper one. On a centre both are that cell. In the outer half cell the
-        nearest two are continued linearly; beyond it the share is NaN.
+    In the outer half cell the nearest two are continued linearly; beyond it the share is NaN.
     """
     edge = 0.5 + 1e-6
     if not -edge <= at <= size - 1 + edge:
@@ -69,17 +45,8 @@ def between(at, size):
 def columns_between(at, size):
     """Return `between` of many fractional columns.
 
-    Parameters
-    ----------
-    at : ndarray of float64, (n,)
-        Fractional columns.
-    size : int
-        Number of columns.
-
-    Returns
-    -------
-    tuple of ndarray, (n,)
-        Lower and upper index (uint32, which index without a check of the sign) and share of the upper one (float64).
+    `at` is (n,). Result (n,): lower and upper index (uint32, which index without a check of the sign) and share of the
+    upper one (float64).
     """
     left, right = np.empty(at.size, dtype=np.uint32), np.empty(at.size, dtype=np.uint32)
     share = np.empty(at.size)
@@ -92,18 +59,9 @@ def columns_between(at, size):
 def sample_row(values, row, columns, line, out):
     """Sample one fractional row, bilinear.
 
-    Parameters
-    ----------
-    values : ndarray of float32, (rows, cols)
-        Values at the cell centres, NaN where unknown.
-    row : float
-        Fractional row.
-    columns : tuple of ndarray, (n,)
-        From `columns_between`, of columns that increase.
-    line : ndarray of float64, (cols,)
-        Working memory.
-    out : ndarray, (n,)
-        Is filled with the values; NaN beyond the map and wherever a value with non-zero weight is NaN.
+    `values` (rows, cols): values at the cell centres, NaN where unknown; `columns` (n,): from `columns_between`, of
+    columns that increase; `line` (cols,): working memory; `out` (n,): is filled with the values, NaN beyond the map and
+    wherever a value with non-zero weight is NaN.
     """
     left, right, share = columns
     up, down, low = between(row, values.shape[0])

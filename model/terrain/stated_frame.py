@@ -15,25 +15,7 @@ from joulemap.model.terrain.formats.contract import WindowReader
 def stated_frame(
     said: Decoded | WindowReader, resolution_m: float | None, west_m: float, north_m: float | None, crs: str | None
 ) -> GridFrame:
-    """Return the file's own place where it states one, and the user's where it does not.
-
-    Parameters
-    ----------
-    said : Decoded or WindowReader
-        What the file states.
-    resolution_m, west_m, north_m, crs : optional
-        What the user states, as `read_heightmap` takes it.
-
-    Returns
-    -------
-    GridFrame
-        The grid.
-
-    Raises
-    ------
-    HeightmapError
-        If they contradict each other, or nobody says how large a cell is.
-    """
+    """Return the file's own place where it states one, and the user's where it does not."""
     if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0):
         raise HeightmapError(
             f"`resolution_m` must be a positive number of metres, got {resolution_m}", resolution_m=str(resolution_m)

@@ -35,37 +35,9 @@ def fit_surface(
 ) -> Heightmap:
     """Fit a heightmap to driven RTK-GPS positions.
 
-    Parameters
-    ----------
-    x, y : array_like, (n,)
-        World positions [m]. Rows with a missing or infinite value are left out.
-    z : array_like, (n,)
-        Height of the antenna less its height above the ground [m].
-    resolution_m : float, optional
-        Side of a cell [m]; the grid lies on multiples of it.
-    smoothing_m : float, optional
-        Waves of twice this length keep 16/17 of their height, waves of this length under half [m].
-    max_gap_m : float, optional
-        Cells farther than this from a driven cell are unknown [m].
-    crs : str, optional
-        Coordinate reference system of the positions.
-    max_cells : int, optional
-        Largest number of cells.
+    `x`, `y` (n,): world positions [m], rows with a missing or infinite value are left out; `z` (n,): height of the
+    antenna less its height above the ground [m]. Result: heights near the driven positions, NaN elsewhere.
 
-    Returns
-    -------
-    Heightmap
-        Heights near the driven positions, NaN elsewhere.
-
-    Raises
-    ------
-    HeightmapError
-        If there are too few points, or a length is not positive.
-    TooLargeError
-        If the spread of the points needs more than `max_cells` cells.
-
-    Notes
-    -----
     A smoothing thin-plate surface: cubic B-splines on knots of smoothing_m / 3, least squares plus the bending energy,
     solved sparsely on driven ground only.
 
@@ -74,9 +46,7 @@ def fit_surface(
     by more than 6 robust standard deviations (1.4826 x median deviation, at least 3 mm) has no weight and does not
     count as driven. Wrong *positions* far from the rest are not recognised: drop rows with a large GPS error first.
 
-    References
-    ----------
-    Wei & Isler 2022, section IV-B: "we fit a surface with the GPS positions along the trajectory".
+    Reference: Wei & Isler 2022, section IV-B: "we fit a surface with the GPS positions along the trajectory".
     Eilers & Marx 1996, Flexible smoothing with B-splines and penalties.
     """
     for name, value in (("resolution_m", resolution_m), ("smoothing_m", smoothing_m), ("max_gap_m", max_gap_m)):

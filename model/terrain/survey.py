@@ -29,11 +29,6 @@ class SurveyQuality:
         Standard deviation of the Gaussian that blurs the heights first.
     quantum_m : float
         What heights are rounded to; 0 for no rounding.
-
-    Raises
-    ------
-    HeightmapError
-        If a length is negative or not finite.
     """
 
     resolution_m: float
@@ -50,24 +45,7 @@ class SurveyQuality:
 def degrade(heightmap: Heightmap, quality: SurveyQuality, *, rng: Generator) -> Heightmap:
     """Make a survey of a terrain, on coarser cells from the same north-west corner.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The terrain.
-    quality : SurveyQuality
-        Cells, noise, blur and rounding of the survey.
-    rng : Generator
-        Source of the noise.
-
-    Returns
-    -------
-    Heightmap
-        Mean heights over the area of each new cell; unknown where less than half of that area is known.
-
-    Raises
-    ------
-    HeightmapError
-        If the survey's cells are finer than the terrain's.
+    Result: mean heights over the area of each new cell; unknown where less than half of that area is known.
     """
     frame = heightmap.frame
     resolution_m = quality.resolution_m

@@ -40,11 +40,6 @@ class TerrainRecipe:
         Number of pairs of wheel ruts along random lines.
     track_depth_m, track_gauge_m, track_width_m : float
         Depth of a rut, distance between the two of a pair, and width of a rut [m].
-
-    Raises
-    ------
-    InputError
-        If a value is negative, infinite or out of its range.
     """
 
     max_slope_deg: float = 5.0
@@ -114,22 +109,7 @@ RECIPES = {"park": PARK, "hillside": HILLSIDE, "field": FIELD}
 
 
 def make_terrain(recipe: TerrainRecipe, frame: GridFrame, rng: Generator) -> Heightmap:
-    """Make the terrain of a recipe; its mean height is 0.
-
-    Parameters
-    ----------
-    recipe : TerrainRecipe
-        What the terrain is made of.
-    frame : GridFrame
-        Where it lies.
-    rng : Generator
-        Source of randomness; the same state gives the same terrain.
-
-    Returns
-    -------
-    Heightmap
-        The terrain, known everywhere.
-    """
+    """Make the terrain of a recipe; its mean height is 0."""
     relief = fractal(
         frame,
         rng,
@@ -188,15 +168,7 @@ def sample_terrain(seed: int = 7) -> Heightmap:
 
     Between SAMPLE_START and SAMPLE_GOAL the shortest way climbs the knoll; the energy-optimal way goes round it.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of everything random.
-
-    Returns
-    -------
-    Heightmap
-        400 x 400 cells of 0.5 m, with a small pond of unknown height.
+    Result: 400 x 400 cells of 0.5 m, with a small pond of unknown height.
     """
     frame = GridFrame(west_m=0.0, north_m=200.0, resolution_m=0.5, rows=400, cols=400)
     rng = np.random.default_rng(seed)

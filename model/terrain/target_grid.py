@@ -30,29 +30,7 @@ _MOST_SPREAD = 0.01  # of the scale over a map, in the CRS it is reprojected to
 
 
 def choose_crs(crs: str | None, transform: Affine, rows: int, cols: int, to: str) -> tuple[str | None, str]:
-    """Return the CRS that a map is reprojected to.
-
-    Parameters
-    ----------
-    crs : str or None
-        Of the file.
-    transform : Affine
-        Of its grid.
-    rows, cols : int
-        Of its grid.
-    to : str
-        "auto", "EPSG:n" or WKT.
-
-    Returns
-    -------
-    tuple of (str or None, str)
-        The CRS, and why it is that one.
-
-    Raises
-    ------
-    HeightmapError
-        If there is no such CRS, it is not in true metres, or the map lies nowhere on Earth.
-    """
+    """Return the CRS that a map is reprojected to."""
     if to != AUTO:
         target = crs_name(to)
         return target, ""
@@ -98,26 +76,7 @@ def new_grid(
 ) -> tuple[Affine, tuple[int, int], float]:
     """Return the north-up grid that holds all of a map.
 
-    Parameters
-    ----------
-    crs, target : str or None
-        Before and after.
-    transform : Affine
-        Of the file's grid.
-    rows, cols : int
-        Of the file's grid.
-    resolution_m : float, optional
-        Side of a cell; without it, that of a square as large as a cell of the file.
-
-    Returns
-    -------
-    tuple of (Affine, tuple of int, float)
-        The new grid, its rows and columns, and the side of a cell of the file in the new CRS.
-
-    Raises
-    ------
-    HeightmapError
-        If the map cannot be expressed in the new CRS, or is too large for it.
+    Result: the new grid, its rows and columns, and the side of a cell of the file in the new CRS.
     """
     along = np.linspace(0.0, 1.0, EDGE_POINTS)
     zero, one = np.zeros(EDGE_POINTS), np.ones(EDGE_POINTS)
@@ -165,24 +124,8 @@ def moved(
 ) -> tuple[FloatArray, FloatArray]:
     """Return places of a grid in another CRS.
 
-    Parameters
-    ----------
-    crs, target : str or None
-        Before and after; None leaves them as they are.
-    transform : Affine
-        Of the grid.
-    col, row : ndarray of float, (n,)
-        Places on it, from its outer corner.
-
-    Returns
-    -------
-    tuple of ndarray of float, (n,)
-        x and y.
-
-    Raises
-    ------
-    HeightmapError
-        If PROJ knows no way from one to the other.
+    `crs`, `target`: before and after, None leaves them as they are; `col`, `row` (n,): places on it, from its outer
+    corner. The result is (n,).
     """
     x = transform.a * col + transform.b * row + transform.c
     y = transform.d * col + transform.e * row + transform.f
@@ -208,18 +151,7 @@ def _places(crs: str, transform: Affine, col: list[float], row: list[float]) -> 
 
 
 def short_name(crs: str | None) -> str:
-    """Return a CRS for a message.
-
-    Parameters
-    ----------
-    crs : str or None
-        Its name or WKT.
-
-    Returns
-    -------
-    str
-        At most 60 characters.
-    """
+    """Return a CRS for a message."""
     if crs is None:
         return "no CRS"
     code = known_crs(crs).to_epsg()

@@ -43,29 +43,7 @@ class HeightUnit:
 
 
 def height_unit(text: str | None, crs: str | None, what: str, *, or_horizontal: bool = False) -> HeightUnit:
-    """Return the unit of heights: that of the file, else that of the vertical part of its CRS.
-
-    Parameters
-    ----------
-    text : str or None
-        The unit that the file names.
-    crs : str or None
-        Its CRS, as WKT.
-    what : str
-        What messages call the file.
-    or_horizontal : bool, optional
-        Whether heights are in the unit of the plane where nothing else is said, as in LAS.
-
-    Returns
-    -------
-    HeightUnit
-        Metres per unit.
-
-    Raises
-    ------
-    HeightmapError
-        If the unit is none of a length.
-    """
+    """Return the unit of heights: that of the file, else that of the vertical part of its CRS."""
     plain = re.sub(r"[\[\]().]", "", text or "").replace("_", " ").strip().lower()
     if plain in _METRES:
         return _unit(_METRES[plain], f"in {plain}")

@@ -63,18 +63,7 @@ class Ground(Protocol):
         """The same where the user gave it."""
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
-        """Return the heights of cells [row0, row1) x [col0, col1).
-
-        Parameters
-        ----------
-        row0, row1, col0, col1 : int
-            The window, at least 2 x 2 cells.
-
-        Returns
-        -------
-        Heightmap
-            That part of the map.
-        """
+        """Return the heights of cells [row0, row1) x [col0, col1)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,23 +104,7 @@ class HeightmapFile:
         return estimated_noise_m(self) if self.given_noise_m is None else self.given_noise_m
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
-        """Return the heights of cells [row0, row1) x [col0, col1).
-
-        Parameters
-        ----------
-        row0, row1, col0, col1 : int
-            The window, at least 2 x 2 cells.
-
-        Returns
-        -------
-        Heightmap
-            That part of the map.
-
-        Raises
-        ------
-        HeightmapError
-            If the window cannot be read.
-        """
+        """Return the heights of cells [row0, row1) x [col0, col1)."""
         kept = self._kept
         if kept is None:
             heights = self.reader.read(self.scaling, slice(row0, row1), slice(col0, col1))
@@ -151,13 +124,7 @@ class HeightmapFile:
 
     @property
     def known_share(self) -> float:
-        """Share of cells whose height is known, 0..1.
-
-        Raises
-        ------
-        HeightmapError
-            If no height is known.
-        """
+        """Share of cells whose height is known, 0..1."""
         return self._read_through[1]
 
     @cached_property
@@ -184,17 +151,7 @@ class HeightmapFile:
 def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
     """Return the expected ground of cells [row0, row1) x [col0, col1), given the survey.
 
-    Parameters
-    ----------
-    ground : Ground
-        The survey.
-    row0, row1, col0, col1 : int
-        The window, at least 2 x 2 cells.
-
-    Returns
-    -------
-    Heightmap
-        The same as that part of the whole map without noise.
+    Result: the same as that part of the whole map without noise.
     """
     if ground.noise_m < LEAST_NOISE_M:
         return ground.window(row0, row1, col0, col1)
@@ -209,15 +166,8 @@ def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: 
 def overview(ground: Ground) -> Heightmap:
     """Return enough of a map to judge its slopes by.
 
-    Parameters
-    ----------
-    ground : Ground
-        A map of any size.
-
-    Returns
-    -------
-    Heightmap
-        The map itself up to 4 million cells; of a larger one, windows spread over it with unknown cells between them.
+    Result: the map itself up to 4 million cells; of a larger one, windows spread over it with unknown cells between
+    them.
     """
     frame = ground.frame
     if frame.rows * frame.cols <= _SAMPLE_CELLS:

@@ -34,32 +34,8 @@ def write_bands_geotiff(
 ) -> bytes | None:
     """Write a compressed float32 GeoTIFF, NaN its no-data value. A file appears whole or not at all.
 
-    Parameters
-    ----------
-    path : str, Path or None
-        The file; None returns its bytes instead.
-    bands : ndarray of float32, (n, rows, cols)
-        The bands.
-    frame : GridFrame
-        Where they lie.
-    descriptions : sequence of str, optional
-        One text per band.
-    tags : mapping of str to str, optional
-        Metadata of the file.
-    quick : bool, optional
-        Compress with zstd, in a third of the time and to the same size; not every other program reads it.
-
-    Returns
-    -------
-    bytes or None
-        The file's content where `path` is None.
-
-    Raises
-    ------
-    HeightmapError
-        If the shapes differ.
-    OSError
-        If the file cannot be written; its number is ENOSPC where the disk is full.
+    `path`: the file, None returns its bytes instead; `bands` (n, rows, cols). Result: the file's content where `path`
+    is None.
     """
     bands = np.asarray(bands, dtype=np.float32)
     if bands.ndim != 3 or bands.shape[1:] != frame.shape:
@@ -121,18 +97,6 @@ def _refuse_a_full_disk(path: Path) -> None:
 def write_geotiff(path: str | Path | None, heightmap: Heightmap, *, quick: bool = False) -> bytes | None:
     """Write a heightmap as a GeoTIFF of one band.
 
-    Parameters
-    ----------
-    path : str, Path or None
-        The file; None returns its bytes instead.
-    heightmap : Heightmap
-        The heights.
-    quick : bool, optional
-        See `write_bands_geotiff`.
-
-    Returns
-    -------
-    bytes or None
-        The file's content where `path` is None.
+    `path`: the file, None returns its bytes instead. Result: the file's content where `path` is None.
     """
     return write_bands_geotiff(path, heightmap.heights[None], heightmap.frame, descriptions=["height [m]"], quick=quick)

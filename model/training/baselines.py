@@ -15,23 +15,10 @@ _PENALTIES = tuple(float(p) for p in 10.0 ** np.arange(-3.0, 4.01, 1.0))
 def baseline_predictions(rows: CostRows, shapes: FloatArray, fitted: NDArray[np.bool_]) -> dict[str, FloatArray]:
     """Fit simple models to some segments, and predict the others.
 
-    Parameters
-    ----------
-    rows : CostRows
-        All segments.
-    shapes : ndarray of float, (n, 11)
-        Their `shape_features`; NaN on unknown ground.
-    fitted : ndarray of bool, (n,)
-        Which of them to fit to.
+    `shapes` (n, 11): their `shape_features`, NaN on unknown ground; `fitted` (n,): which of them to fit to. Result:
+    energy of the others [J] by model: "a constant energy per metre"; "equation 5 with fitted friction"; "a ridge
+    regression on shape, turning, time and speeding up".
 
-    Returns
-    -------
-    dict of str to ndarray of float
-        Energy of the others [J] by model: "a constant energy per metre"; "equation 5 with fitted friction"; "a ridge
-        regression on shape, turning, time and speeding up".
-
-    Notes
-    -----
     All are least squares of the energy. Friction is fitted with the declared idle power and cost of turning. The ridge
     penalty, on the shape of the ground alone, is the one that predicts runs best that are left out in turn.
     """

@@ -56,18 +56,7 @@ class CostRows:
     tan_grade: FloatArray
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> CostRows:
-        """Return some of the rows.
-
-        Parameters
-        ----------
-        which : ndarray of bool or int
-            A mask or indices.
-
-        Returns
-        -------
-        CostRows
-            In the order of `which`.
-        """
+        """Return some of the rows."""
         return CostRows(
             self.segments.take(which),
             self.robots,
@@ -78,18 +67,7 @@ class CostRows:
         )
 
     def of_robot(self, attribute: str) -> FloatArray:
-        """Return an attribute of the robot of each row.
-
-        Parameters
-        ----------
-        attribute : str
-            Of `Robot`.
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Its values.
-        """
+        """Return an attribute of the robot of each row. The result is (n,)."""
         return np.array([float(getattr(robot, attribute)) for robot in self.robots])[self.robot]
 
 
@@ -115,18 +93,7 @@ class CostFit:
     shape: float
 
     def predict_j(self, rows: CostRows) -> FloatArray:
-        """Predict rows that were not fitted.
-
-        Parameters
-        ----------
-        rows : CostRows
-            Of the same robots.
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Energy [J]; NaN on unknown ground.
-        """
+        """Predict rows that were not fitted. Result (n,): energy [J]; NaN on unknown ground."""
         columns, names, known_j = _design(rows, self.level, self.climb, self.shape)
         mass = self.costs.mass_kg
         value = {
@@ -143,18 +110,8 @@ class CostFit:
 def fit_costs(rows: CostRows) -> CostFit:
     """Fit the costs of a drive together with the level of the traction.
 
-    Parameters
-    ----------
-    rows : CostRows
-        All metres, curves and short halts included.
+    Result: costs of the first robot; those of others are in proportion to their mass.
 
-    Returns
-    -------
-    CostFit
-        Costs of the first robot; those of others are in proportion to their mass.
-
-    Notes
-    -----
     energy = price(traction + level * weight + climb * weight * tan grade + shape * its part for the shape) * driven
     + idle * (time - driven / speed) + driving_w * slower + turn * turned + speed_up_kg * gained. Residuals have a
     variance in proportion to the energy and count by Huber's loss; `measured_runs` puts the mean right. Bounds are

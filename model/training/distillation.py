@@ -47,30 +47,7 @@ def ask_teacher(
 ) -> Examples:
     """Ask the teacher for the energy at random places and headings.
 
-    Parameters
-    ----------
-    teacher : Predictor
-        The model whose answers are learned.
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        What drives on it.
-    count : int
-        Number of places.
-    rng : numpy.random.Generator
-        Chooses them.
-    progress : callable, optional
-        Gets the share of the work that is done, 0 to 1.
-
-    Returns
-    -------
-    Examples
-        Of the run `TAUGHT`; fewer than `count` where the map is unknown.
-
-    Raises
-    ------
-    InputError
-        If the teacher knows none of the places.
+    Result: of the run `TAUGHT`; fewer than `count` where the map is unknown.
     """
     parts = []
     for start in range(0, count, _AT_ONCE):
@@ -88,23 +65,7 @@ def ask_teacher(
 def difference(one: Predictor, other: Predictor, heightmap: Heightmap, robot: Robot, *, count: int, seed: int) -> float:
     """Compare the energies of two models at random places and headings that both know.
 
-    Parameters
-    ----------
-    one, other : Predictor
-        The models.
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        What drives on it.
-    count : int
-        Number of places.
-    seed : int
-        Of their choice.
-
-    Returns
-    -------
-    float
-        Mean absolute difference over the mean energy of the other; NaN where no place is known to both.
+    Result: mean absolute difference over the mean energy of the other; NaN where no place is known to both.
     """
     places = random_places(heightmap, count, np.random.default_rng(seed))
     ours, theirs = (robot.price_per_m(model.segment_traction(heightmap, robot, *places)) for model in (one, other))
@@ -117,21 +78,7 @@ def difference(one: Predictor, other: Predictor, heightmap: Heightmap, robot: Ro
 def random_places(heightmap: Heightmap, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], ...]:
     """Choose places anywhere on a map.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The map.
-    count : int
-        Number of places.
-    rng : numpy.random.Generator
-        Chooses them.
-
-    Returns
-    -------
-    x, y : ndarray of float64, (count,)
-        Places [m].
-    heading_rad : ndarray of float64, (count,)
-        Headings [rad].
+    Returns `x`, `y` (count,): places [m]; `heading_rad` (count,): headings [rad].
     """
     west, south, east, north = heightmap.frame.bounds
     return rng.uniform(west, east, count), rng.uniform(south, north, count), rng.uniform(0.0, 2.0 * np.pi, count)
@@ -194,45 +141,6 @@ def distil_on_runs(
     """Train a compact network on a ResNet18's answers and on measured segments, and write its model's folder.
 
     The runs that the teacher held out are held out of the student too.
-
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        As its file declares it.
-    files : sequence of Path
-        The logs of the teacher's runs.
-    teacher : Path
-        Folder of a model of the architecture `TEACHER`.
-    start_from : Path
-        Folder of the compact model that the student starts from.
-    out : Path
-        Folder to write.
-    answers : int, optional
-        Number of random places at which the teacher is asked.
-    epochs : int, optional
-        Passes over the data.
-    seed : int, optional
-        Of places and training.
-    charge : bool, optional
-        Count charge times the nominal voltage instead of energy.
-    progress : callable, optional
-        Gets the share of the work that is done, 0 to 1.
-
-    Returns
-    -------
-    DistilledModel
-        The student and its errors.
-
-    Raises
-    ------
-    ModelError
-        If teacher or start is of another architecture.
-    InputError
-        If the teacher has seen all of the runs.
-    RunsError
-        If a log cannot be read, or does not fit the map and the robot.
     """
     report = progress or (lambda _: None)
     knows, learned = load_artifact(teacher), read_artifact(teacher)

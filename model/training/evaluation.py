@@ -23,26 +23,11 @@ from joulemap.model.training.run_record import seen_runs
 def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[str, Any]:
     """Compare predicted with measured energies of segments.
 
-    Parameters
-    ----------
-    predicted_j, energy_j : array_like, (n,)
-        Predicted and measured energy [J].
-    run : array_like, (n,)
-        The run of each segment.
-
-    Returns
-    -------
-    dict
-        JSON-able: segments; mean_relative_error and median_relative_error, as `metrics.relative_errors`; rmse_j and
-        mean_absolute_error_j; error_share, the sum of |errors| over that of |energies|, which stays finite where a
-        segment takes no energy; bias_j, the mean of measured - predicted; rmse_j_by_run
-        and mean_absolute_error_j_by_run; route_relative_errors, |sum e_hat - sum e| / sum e of every whole run;
-        and route_relative_error, their mean.
-
-    Raises
-    ------
-    InputError
-        If there is no segment.
+    `predicted_j`, `energy_j` (n,); `run` (n,). Result: JSON-able: segments; mean_relative_error and
+    median_relative_error, as `metrics.relative_errors`; rmse_j and mean_absolute_error_j; error_share, the sum of
+    |errors| over that of |energies|, which stays finite where a segment takes no energy; bias_j, the mean of measured -
+    predicted; rmse_j_by_run and mean_absolute_error_j_by_run; route_relative_errors, |sum e_hat - sum e| / sum e of
+    every whole run; and route_relative_error, their mean.
     """
     predicted, energy = np.asarray(predicted_j, dtype=np.float64), np.asarray(energy_j, dtype=np.float64)
     if energy.size == 0:
@@ -71,20 +56,7 @@ def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[
 
 
 def named(found: Mapping[str, Any], runs: Sequence[str]) -> dict[str, Any]:
-    """Return errors in which runs have their names.
-
-    Parameters
-    ----------
-    found : mapping
-        As from `errors`, with the numbers of the runs.
-    runs : sequence of str
-        Names by number.
-
-    Returns
-    -------
-    dict
-        The same errors.
-    """
+    """Return errors in which runs have their names."""
     return {
         key: {runs[int(number)]: one for number, one in value.items()} if isinstance(value, dict) else value
         for key, value in found.items()
@@ -94,17 +66,7 @@ def named(found: Mapping[str, Any], runs: Sequence[str]) -> dict[str, Any]:
 def coverage(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, spread: Spread) -> dict[str, float]:
     """Count how many measured segments are inside the predicted intervals.
 
-    Parameters
-    ----------
-    energy_j, predicted_j, std_j : array_like, (n,)
-        Measured energy, predicted energy and its standard deviation [J].
-    spread : Spread
-        Makes the intervals.
-
-    Returns
-    -------
-    dict
-        Share of the segments by level in percent: {"50": ..., "80": ..., "90": ...}.
+    `energy_j`, `predicted_j`, `std_j` (n,): measured energy, predicted energy and its standard deviation [J].
     """
     energy = np.asarray(energy_j, dtype=np.float64)
     inside = {}
@@ -117,56 +79,18 @@ def coverage(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, spre
 def evaluate_on_runs(
     predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path], *, charge: bool = False
 ) -> dict[str, Any]:
-    """Judge a predictor by measured runs over one heightmap, as `evaluate_on_sites`.
-
-    Parameters
-    ----------
-    predictor : Predictor
-        The model.
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        As its file declares it.
-    files : sequence of Path
-        The logs.
-    charge : bool, optional
-        Count charge times the nominal voltage instead of energy.
-
-    Returns
-    -------
-    dict
-        As `evaluate_on_sites`.
-    """
+    """Judge a predictor by measured runs over one heightmap, as `evaluate_on_sites`."""
     return evaluate_on_sites(predictor, [Site(heightmap, tuple(files), robot)], charge=charge)
 
 
 def evaluate_on_sites(predictor: Predictor, sites: Sequence[Site], *, charge: bool = False) -> dict[str, Any]:
     """Judge a predictor by measured runs over their heightmaps.
 
-    Parameters
-    ----------
-    predictor : Predictor
-        The model.
-    sites : sequence of Site
-        Heightmaps, their runs, and the robot of each.
-    charge : bool, optional
-        Count charge times the nominal voltage instead of energy.
-
-    Returns
-    -------
-    dict
-        JSON-able. The numbers of `errors`, with runs named; `coverage`, the share of segments inside the predicted 50,
-        80 and 90 % intervals (None where the model has none); `unknown`, the number of segments on unknown ground;
-        `repairs` and `left_out`, what was repaired in the logs and what was not made a segment, by rule;
-        `used`, metres of track as `Segments.coverage` returns them;
-        `seen_in_training`, those of the runs that the model was trained with; `warnings`, which say so in words.
-
-    Raises
-    ------
-    RunsError
-        If a log cannot be read, or does not fit the map and the robot.
-    InputError
-        If no segment is on known ground.
+    Result: the numbers of `errors`, with runs named; `coverage`, the share of segments inside the predicted 50, 80 and
+    90 % intervals (None where the model has none); `unknown`, the number of segments on unknown ground; `repairs` and
+    `left_out`, what was repaired in the logs and what was not made a segment, by rule; `used`, metres of track as
+    `Segments.coverage` returns them; `seen_in_training`, those of the runs that the model was trained with; `warnings`,
+    which say so in words.
     """
     measured = read_sites(sites, charge=charge)
     runs, segments = measured.runs, measured.segments

@@ -73,15 +73,7 @@ class Judged:
     def scaled(self, factor: float) -> Judged:
         """Return what a model would say that asks for so many times as much beside what is declared.
 
-        Parameters
-        ----------
-        factor : float
-            Of the traction and of the costs.
-
-        Returns
-        -------
-        Judged
-            Its standard deviations are multiplied too.
+        Its standard deviations are multiplied too.
         """
         return replace(
             self,
@@ -98,27 +90,7 @@ class Judged:
 
 
 class FoldFits:
-    """The examples of one training, and the two ways to fit a network to them.
-
-    Parameters
-    ----------
-    measured : SiteRuns
-        The runs.
-    kind : Architecture
-        Of the network.
-    patch_size : int
-        Rows and columns of its input.
-    start : Network, optional
-        To fine-tune.
-    parent : Artifact, optional
-        The model that `start` is from.
-    out : Path
-        Where states of the training are kept until it ends.
-    seed : int
-        Of everything that is drawn.
-    straight : bool
-        Learn from straight segments alone, without costs beside the network but that of turning.
-    """
+    """The examples of one training, and the two ways to fit a network to them."""
 
     def __init__(
         self,
@@ -142,37 +114,11 @@ class FoldFits:
         self._told: list[tuple[NDArray[np.int64], dict[str, FloatArray]]] = []  # by simple models, likewise
 
     def artifact(self, net: Network, costs: DriveCosts) -> Artifact:
-        """Make a model of a network.
-
-        Parameters
-        ----------
-        net : Network
-            Trained.
-        costs : DriveCosts
-            Beside it.
-
-        Returns
-        -------
-        Artifact
-            Without its spread.
-        """
+        """Make a model of a network."""
         return Artifact(net, self.domain, self.patch_size, costs=costs)
 
     def fit(self, options: TrainingOptions, progress: Callable[[float], None] | None) -> tuple[Network, int]:
-        """Fit one network, stopped by parts that are held out, on which it is then judged.
-
-        Parameters
-        ----------
-        options : TrainingOptions
-            How to train.
-        progress : callable, optional
-            Gets the share of the work that is done.
-
-        Returns
-        -------
-        tuple of (Network, int)
-            The network and its epochs.
-        """
+        """Fit one network, stopped by parts that are held out, on which it is then judged."""
         held = choose_held_out(self.examples, options, self.seed)
         fitted, start = self._costs_without(held)
         result = train_network(
@@ -189,20 +135,7 @@ class FoldFits:
         return result.net, result.epochs
 
     def cross_fit(self, options: TrainingOptions, progress: Callable[[float], None] | None) -> tuple[Network, int]:
-        """Fit a network without each fold of the parts, each judged on its fold.
-
-        Parameters
-        ----------
-        options : TrainingOptions
-            How to train.
-        progress : callable, optional
-            Gets the share of the work that is done.
-
-        Returns
-        -------
-        tuple of (Network, int)
-            The mean of the networks, and their epochs.
-        """
+        """Fit a network without each fold of the parts, each judged on its fold."""
         parts = np.random.default_rng(self.seed).permutation(np.unique(self.examples.run))
         folds = [fold.tolist() for fold in np.array_split(parts, min(FOLDS, parts.size))]
         nets = []
@@ -223,13 +156,7 @@ class FoldFits:
         return averaged(nets), options.epochs
 
     def judged(self) -> Judged:
-        """Return what fits said of the parts that they had not seen, with the costs of all runs.
-
-        Returns
-        -------
-        Judged
-            In driving order.
-        """
+        """Return what fits said of the parts that they had not seen, with the costs of all runs."""
         index = np.concatenate([mine for mine, *_ in self._said])
         order = np.argsort(index)
         energy, traction = (np.concatenate([said[k] for said in self._said])[order] for k in (1, 3))
@@ -247,15 +174,8 @@ class FoldFits:
     def baseline_errors(self, known: NDArray[np.bool_]) -> dict[str, dict[str, Any]]:
         """Return the errors of simple models on the segments of `judged`.
 
-        Parameters
-        ----------
-        known : ndarray of bool, (n,)
-            Which of them the networks know.
-
-        Returns
-        -------
-        dict of str to dict
-            As `evaluation.errors`, by model; empty where networks learned from straight segments alone.
+        `known` (n,): which of them the networks know. Result: as `evaluation.errors`, by model; empty where networks
+        learned from straight segments alone.
         """
         if not self._told:
             return {}

@@ -87,26 +87,7 @@ class TrainedModel:
 def train_on_runs(
     heightmap: Heightmap, robot: Robot, files: Sequence[Path], *, out: Path, **options: Any
 ) -> TrainedModel:
-    """Train on measured runs over one heightmap, as `train_on_sites`.
-
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        As its file declares it.
-    files : sequence of Path
-        The logs.
-    out : Path
-        Folder to write.
-    **options : dict
-        As `train_on_sites`.
-
-    Returns
-    -------
-    TrainedModel
-        The model and its held-out errors.
-    """
+    """Train on measured runs over one heightmap, as `train_on_sites`. Result: the model and its held-out errors."""
     return train_on_sites([Site(heightmap, tuple(files), robot)], out=out, **options)
 
 
@@ -135,50 +116,6 @@ def train_on_sites(
     weights with the costs of all runs. Every run is then predicted by a fit that has not seen it, which gives held-out
     errors and the model's spread without losing a run for training. Otherwise a share of the runs is held out whole,
     and training stops when the error on them no longer improves.
-
-    Parameters
-    ----------
-    sites : sequence of Site
-        Heightmaps, their runs, and the robot of each. Costs of robots that differ in size are fitted in proportion to
-        their masses; the network knows mass, size and speed of each.
-    out : Path
-        Folder to write.
-    architecture : str, optional
-        One of `ARCHITECTURES`.
-    start_from : Path, optional
-        Folder of a model to fine-tune.
-    backbone : Path, optional
-        File of a backbone's weights: for resnet18 with torchvision's names.
-    patch_size : int, optional
-        Rows and columns of an input, where the architecture leaves the choice. Those of the model to start from, else
-        the architecture's usual size (resnet18: 64; 256 in the paper).
-    epochs : int, optional
-        Passes over the data, at most. The architecture's usual number by default.
-    seed : int, optional
-        The same seed and data give the same weights.
-    charge : bool, optional
-        Count charge times the nominal voltage instead of energy.
-    protocol : {"track", "chords"}, optional
-        How runs are cut. "chords" is the paper's: networks then learn from straight segments alone, and only turning
-        has a cost beside them.
-    resume : bool, optional
-        Go on where a training of the same data and settings was cut off. Its state is kept in `out` until it ends.
-    progress : callable, optional
-        Gets the share of the work that is done, 0 to 1.
-
-    Returns
-    -------
-    TrainedModel
-        The model and its held-out errors.
-
-    Raises
-    ------
-    InputError
-        If settings contradict each other, or no segment is left.
-    ModelError
-        If the architecture is unknown, or the model to start from is of another one.
-    RunsError
-        If a log cannot be read, or does not fit the map and the robot.
     """
     kind = find_architecture(architecture)
     if backbone is not None and start_from is not None:

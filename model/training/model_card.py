@@ -16,26 +16,7 @@ _METHODS = {
 
 
 def model_card(version: str, parameters: int, training: Mapping[str, Any], domain: Domain, spread: Spread) -> str:
-    """Write the model card.
-
-    Parameters
-    ----------
-    version : str
-        Of the model.
-    parameters : int
-        Number of weights.
-    training : mapping
-        As in the model's config.json, with `coverage` and `made`.
-    domain : Domain
-        Ranges of what it was trained on.
-    spread : Spread
-        Its errors on held-out sites.
-
-    Returns
-    -------
-    str
-        Markdown.
-    """
+    """Write the model card."""
     options = training["options"]
     rows = [("this network", training["held_out"])]
     rows += [(_METHODS[name], found) for name, found in training["baselines"].items()]
@@ -111,24 +92,7 @@ Outside of them the answer comes with a warning, and the network clamps the robo
 
 
 def card_of_runs(version: str, training: Mapping[str, Any], domain: Domain, costs: DriveCosts) -> str:
-    """Write the model card of a model that was trained on measured runs.
-
-    Parameters
-    ----------
-    version : str
-        Of the model.
-    training : mapping
-        As in the model's config.json.
-    domain : Domain
-        Ranges of what it was trained on.
-    costs : DriveCosts
-        Of turning, time and speeding up.
-
-    Returns
-    -------
-    str
-        Markdown.
-    """
+    """Write the model card of a model that was trained on measured runs."""
     rows = [("this model", training["held_out"]), *training["baselines"].items()]
     table = "\n".join(
         f"| {name} | {e['rmse_j']:.4g} | {e['mean_absolute_error_j']:.4g} | {100 * e['error_share']:.1f} % | "

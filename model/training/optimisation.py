@@ -121,41 +121,7 @@ def train_network(
     checkpoint: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TrainingResult:
-    """Train on every run but the held-out ones, and stop when the error on those no longer improves.
-
-    Parameters
-    ----------
-    examples : Examples
-        Measured segments, cut for the architecture.
-    architecture : str, optional
-        One of `ARCHITECTURES`.
-    seed : int, optional
-        The same seed and data give the same weights.
-    start_from : Network, optional
-        A network to fine-tune; it is not changed.
-    held_out_runs : sequence of int, optional
-        Runs to hold out. A seeded choice by default.
-    options : TrainingOptions, optional
-        How to train.
-    checkpoint : str or Path, optional
-        A file that is written after every epoch. Where it exists already, the training goes on from it, to the weights
-        of an undisturbed training.
-    progress : callable, optional
-        Gets the share of the work that is done, 0 to 1.
-
-    Returns
-    -------
-    TrainingResult
-        With the best weights.
-
-    Raises
-    ------
-    ModelError
-        If the architecture is unknown, the network to start from is of another one, or the checkpoint belongs to
-        another training.
-    InputError
-        If no segment is left to train on or to judge by.
-    """
+    """Train on every run but the held-out ones, and stop when the error on those no longer improves."""
     options = options or TrainingOptions()
     kind = find_architecture(architecture)
     check_start(kind, start_from)
@@ -176,22 +142,7 @@ def train_network(
 
 
 def choose_held_out(examples: Examples, options: TrainingOptions, seed: int) -> list[int]:
-    """Choose whole runs to hold out.
-
-    Parameters
-    ----------
-    examples : Examples
-        All segments.
-    options : TrainingOptions
-        `held_out_share` says how many.
-    seed : int
-        Of the choice.
-
-    Returns
-    -------
-    list of int
-        At least one run.
-    """
+    """Choose whole runs to hold out."""
     runs = np.unique(examples.run)
     count = min(max(1, round(options.held_out_share * runs.size)), max(runs.size - 1, 1))
     return sorted(int(r) for r in np.random.default_rng(seed).choice(runs, count, replace=False))
@@ -200,23 +151,9 @@ def choose_held_out(examples: Examples, options: TrainingOptions, seed: int) -> 
 def averaged(nets: Sequence[Network]) -> Network:
     """Return the network with the mean weights of several networks that were fine-tuned from the same one.
 
-    Parameters
-    ----------
-    nets : sequence of Network
-        At least one.
-
-    Returns
-    -------
-    Network
-        A new one, in evaluation mode.
-
-    Notes
-    -----
     Such networks lie in one basin of the loss. Their mean predicts as well as their ensemble and costs as much as one.
 
-    References
-    ----------
-    Wortsman et al. 2022, "Model soups".
+    Reference: Wortsman et al. 2022, "Model soups".
     """
     mean = deepcopy(nets[0])
     states = [net.state_dict() for net in nets]

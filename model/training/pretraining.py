@@ -44,28 +44,8 @@ def train_default(
 ) -> dict[str, Any]:
     """Simulate sites, train the shipped network on them and write its folder.
 
-    Parameters
-    ----------
-    out : str or Path
-        Folder to write.
-    seed : int, optional
-        The same seed gives the same weights.
-    sites : int, optional
-        Number of simulated sites.
-    workers : int, optional
-        Processes that simulate.
-    options : TrainingOptions, optional
-        How to train.
-    progress : callable, optional
-        Gets the share of the work that is done, 0 to 1.
-
-    Returns
-    -------
-    dict
-        What config.json says of the training, JSON-able, with `version`. `held_out` holds the errors on sites and
-        robots that neither training nor stopping used, on segments without regeneration. `baselines` holds those of
-        eq. 5 on the same segments, with the declared rolling resistance, and with the one fitted to the run itself
-        (which is not known before the drive).
+    Result: what config.json says of the training, JSON-able, with `version`. `held_out` holds the errors on sites and
+    robots that neither training nor stopping used, on segments without regeneration.
     """
     report = progress or (lambda _: None)
     examples = make_pretraining_set(sites=sites, seed=seed, workers=workers, progress=lambda p: report(0.4 * p))
@@ -110,15 +90,7 @@ def train_default(
 def baselines(examples: Examples) -> dict[str, dict[str, Any]]:
     """Judge eq. 5 with the declared rolling resistance, and with the one that fits each run best.
 
-    Parameters
-    ----------
-    examples : Examples
-        Held-out segments.
-
-    Returns
-    -------
-    dict
-        Errors by method, JSON-able.
+    Result: errors by method, JSON-able.
     """
     fitted = examples.rolling_resistance.astype(np.float64)
     for run in np.unique(examples.run):

@@ -16,15 +16,7 @@ _MOST_NAMES = 5
 def run_hash(run: Run) -> str:
     """Identify a run by its samples, whatever its file is called and whatever map it is read for.
 
-    Parameters
-    ----------
-    run : Run
-        As read.
-
-    Returns
-    -------
-    str
-        First 16 hex digits of the SHA-256 of its times, currents and voltages.
+    Result: first 16 hex digits of the SHA-256 of its times, currents and voltages.
     """
     digest = hashlib.sha256()
     for values in (run.t, run.current_a, run.voltage_v):
@@ -36,15 +28,7 @@ def run_hash(run: Run) -> str:
 def runs_record(runs: Sequence[Run]) -> dict[str, Any]:
     """Return what a model's training facts say of its runs.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        All runs of the training, held-out ones too.
-
-    Returns
-    -------
-    dict
-        `runs`, their names, and `run_hashes` by name; JSON-able.
+    Result: `runs`, their names, and `run_hashes` by name; JSON-able.
     """
     return {"runs": [run.name for run in runs], "run_hashes": {run.name: run_hash(run) for run in runs}}
 
@@ -52,20 +36,8 @@ def runs_record(runs: Sequence[Run]) -> dict[str, Any]:
 def seen_runs(provenance: Mapping[str, Any], runs: Sequence[Run]) -> tuple[list[str], list[str]]:
     """Compare runs with those that a model was trained on.
 
-    Parameters
-    ----------
-    provenance : mapping
-        What the predictor says of itself. Of a calibrated model its base counts.
-    runs : sequence of Run
-        The runs that it is to be judged by.
-
-    Returns
-    -------
-    names : list of str
-        Those of these runs that were part of the training.
-    warnings : list of str
-        One sentence for the runs that the network learned from, one for those that stopped its training; empty where
-        there are none.
+    Returns `names`: those of these runs that were part of the training; `warnings`: one sentence for the runs that the
+    network learned from, one for those that stopped its training, empty where there are none.
     """
     training = _training_facts(provenance)
     hashes = {str(value): str(name) for name, value in dict(training.get("run_hashes") or {}).items()}

@@ -55,27 +55,6 @@ def make_pretraining_set(
 
     Inputs are cut from the surveyed heightmap. A declared rolling resistance is what the robot draws on smooth level
     ground over its weight (eq. 5 at the battery, as the paper fits it), known to about 8 %.
-
-    Parameters
-    ----------
-    sites : int
-        Number of sites.
-    seed : int
-        Every site has its own generator (seed, site number): the set is the same with any number of workers.
-    workers : int, optional
-        Processes.
-    progress : callable, optional
-        Gets the share of the work that is done, 0 to 1.
-
-    Returns
-    -------
-    Examples
-        `run` is site * ROBOTS_PER_SITE + robot.
-
-    Raises
-    ------
-    InputError
-        If there is less than one site.
     """
     if sites < 1:
         raise InputError(f"at least one site is needed, got {sites}", sites=sites)
@@ -114,15 +93,7 @@ def _one_site(seed: int, number: int) -> Examples:
 def random_robot(rng: np.random.Generator) -> Robot:
     """Draw a robot as its owner declares it, without a rolling resistance.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Draws it.
-
-    Returns
-    -------
-    Robot
-        Of 15 to 120 kg, with dimensions that fit the mass.
+    Result: of 15 to 120 kg, with dimensions that fit the mass.
     """
     mass = math.exp(rng.uniform(math.log(15.0), math.log(120.0)))
     size = (mass / 35.0) ** 0.25
@@ -144,20 +115,7 @@ def random_robot(rng: np.random.Generator) -> Robot:
 
 
 def level_ground(ground: Ground, rng: np.random.Generator) -> Site:
-    """Make level ground of 4 x 16 m whose only relief is too fine for a survey.
-
-    Parameters
-    ----------
-    ground : Ground
-        Its soil.
-    rng : numpy.random.Generator
-        Draws the fine relief.
-
-    Returns
-    -------
-    Site
-        For `rolling_resistance_on`.
-    """
+    """Make level ground of 4 x 16 m whose only relief is too fine for a survey."""
     frame = GridFrame(0.0, 4.0, TRUE_RESOLUTION_M, 80, 320)
     even = Relief(TerrainRecipe(max_slope_deg=0.0, roughness_rms_m=0.0), rough_m=0.0, tussocks_per_m2=0.0)
     return make_site("level", even, ground, frame, rng, SURVEYS["scanner"])
@@ -166,19 +124,7 @@ def level_ground(ground: Ground, rng: np.random.Generator) -> Site:
 def rolling_resistance_on(level: Site, ground: Ground, robot: FieldRobot) -> float:
     """Measure the mu of eq. 5 as an owner would: the energy of motion on level ground.
 
-    Parameters
-    ----------
-    level : Site
-        As from `level_ground`.
-    ground : Ground
-        The soil to measure on.
-    robot : FieldRobot
-        The true robot.
-
-    Returns
-    -------
-    float
-        Battery energy of motion per metre and per newton of the declared weight.
+    Result: battery energy of motion per metre and per newton of the declared weight.
     """
     site = replace(level, ground=replace(ground, spread=0.0))
     drive = drive_along([(2.0, 2.0), (14.0, 2.0)], speed_mps=robot.declared.speed_mps)
@@ -188,20 +134,7 @@ def rolling_resistance_on(level: Site, ground: Ground, robot: FieldRobot) -> flo
 
 
 def smooth_site(rng: np.random.Generator, survey: SurveyQuality | None = None) -> Site:
-    """Draw a road, a lawn or a slab: usual slopes, hardly any roughness. `random_site` draws no ground as smooth.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Draws it.
-    survey : SurveyQuality, optional
-        How well it is surveyed; drawn as by a scanner by default.
-
-    Returns
-    -------
-    Site
-        The site.
-    """
+    """Draw a road, a lawn or a slab: usual slopes, hardly any roughness. `random_site` draws no ground as smooth."""
     slope = MAX_SLOPE_DEG * float(rng.uniform(0.0, 1.0))
     hills = TerrainRecipe(
         max_slope_deg=slope,

@@ -54,22 +54,7 @@ class Guide(NamedTuple):
 
 @njit(cache=True)
 def bound_at(guide, cell, cols):
-    """Return the bound at a cell.
-
-    Parameters
-    ----------
-    guide : Guide
-        The bounds.
-    cell : int
-        Flat index.
-    cols : int
-        Columns of the map.
-
-    Returns
-    -------
-    float
-        Energy [J]; infinite where it is known that the goal cannot be reached.
-    """
+    """Return the bound at a cell. Result: energy [J]; infinite where it is known that the goal cannot be reached."""
     best = 0.0 if guide.pairs.shape[0] == 0 else -np.inf
     if guide.pairs.shape[0] > 0:
         row = np.int64(cell) // cols
@@ -92,24 +77,7 @@ def _grown(queue, count):
 
 @njit(cache=True, inline="always")
 def put(queue, count, bucket, cell):
-    """Put a cell into a bucket of the ring.
-
-    Parameters
-    ----------
-    queue : ndarray of uint32, (BUCKETS, capacity)
-        The ring.
-    count : ndarray of int64, (BUCKETS,)
-        Cells in each bucket; it is changed.
-    bucket : int
-        Number of the bucket, not wrapped.
-    cell : int
-        Flat index.
-
-    Returns
-    -------
-    ndarray of uint32
-        The ring, a wider one where that bucket was full.
-    """
+    """Put a cell into a bucket of the ring."""
     slot = bucket & (BUCKETS - 1)
     if count[slot] == queue.shape[1]:
         queue = _grown(queue, count)
@@ -122,29 +90,9 @@ def put(queue, count, bucket, cell):
 def open_ring(first, least, guide, cols, per_j):
     """Return a ring of buckets with the cells that a search begins with.
 
-    Parameters
-    ----------
-    first : ndarray of int64, (S,)
-        Flat indices of the cells.
-    least : ndarray of float64, (S,)
-        Energy with which they are reached [J].
-    guide : Guide
-        Lower bounds of the energy to come.
-    cols : int
-        Columns of the map.
-    per_j : float
-        Buckets per joule.
-
-    Returns
-    -------
-    queue : ndarray of uint32, (BUCKETS, capacity)
-        The ring.
-    count : ndarray of int64, (BUCKETS,)
-        Cells in each bucket.
-    current : int
-        The first bucket that holds any.
-    due : ndarray of int64, (S,)
-        The bucket of every cell, also beyond the ring's end; NEVER for a cell from which the goal cannot be reached.
+    `first` (S,): flat indices of the cells; `least` (S,): energy with which they are reached [J]. Returns `queue`: the
+    ring; `count`: cells in each bucket; `current`: the first bucket that holds any; `due` (S,): the bucket of every
+    cell, also beyond the ring's end, NEVER for a cell from which the goal cannot be reached.
     """
     due = np.full(first.size, NEVER)
     for k in range(first.size):
@@ -186,64 +134,19 @@ def search_cells(
 ):
     """Settle cells until no bucket may improve the path to a target, or all cells where there is no target.
 
-    Parameters
-    ----------
-    energy : ndarray of float64, (cells,)
-        Labels to start from [J]; they are changed.
-    pred : ndarray of uint8, (cells,)
-        Move + 1 by which a cell was reached, 0 for a seed, with the flag `SETTLED` where nothing is left to do; it is
-        changed.
-    price : ndarray of float32, (cells, N)
-        Energy of the move that leaves a cell [J]; NaN where there is none.
-    lengths : ndarray of float64, (N,) or (0,)
-        What every move there is costs instead; empty for its energy.
-    jump : ndarray of int64, (N,)
-        Step of each move in flat indices.
-    near : ndarray of uint32, (cells,) or (0,)
-        Bit n is set where move n leaves the cell within the margin; empty for no margin, see `MoveTable`.
-    near_j : ndarray of float64, (N,) or (0,)
-        What such a move costs more [J].
-    first : ndarray of int64, (S,)
-        Cells to begin with.
-    targets : ndarray of int64, (T,)
-        Cells that are joined to the goal.
-    target_rest : ndarray of float64, (T,)
-        Energy from them to the goal [J].
-    guide : Guide
-        Lower bounds of the energy to come.
-    known : ndarray of float64, (cells,)
-        Zeros; bounds that were computed stand here. (1,) where the guide has none.
-    cols : int
-        Columns of the map.
-    width : float
-        Width of a bucket [J].
-    slack : float
-        Relative gain below which a label stays; above 0 where prices may be negative.
-    backward : bool
-        Whether moves are run against their direction, each at its own price.
-    margin : float
-        Share of the least energy by which paths may exceed it and still have all their cells settled.
-    most : float
-        Energy beyond which nothing is settled [J].
-    spent : ndarray of float64, (cells,) or (0,)
-        Energy that a path through a cell needs beside the one that is searched for [J]; empty for none.
-    budget : float
-        Where both together exceed it [J], the cell is left alone.
-    stop : ndarray of uint8, (1,)
-        The search ends early once this is not 0, see `stopping`.
+    `energy` (cells,): labels to start from [J], they are changed; `pred` (cells,); `price` (cells, N): energy of the
+    move that leaves a cell [J], NaN where there is none; `lengths` (N,): what every move there is costs instead, empty
+    for its energy; `jump` (N,): step of each move in flat indices; `near` (cells,): bit n is set where move n leaves
+    the cell within the margin, empty for no margin, see `MoveTable`; `near_j` (N,): what such a move costs more [J];
+    `first` (S,): cells to begin with; `targets` (T,): cells that are joined to the goal; `target_rest` (T,): energy
+    from them to the goal [J]; `known` (cells,): zeros, bounds that were computed stand here; `width`: width of a bucket
+    [J]; `slack`: relative gain below which a label stays, above 0 where prices may be negative; `most`: energy beyond
+    which nothing is settled [J]; `spent` (cells,): energy that a path through a cell needs beside the one that is
+    searched for [J], empty for none; `budget`: where both together exceed it [J], the cell is left alone; `stop` (1,):
+    the search ends early once this is not 0, see `stopping`. Returns `last`: the last cell, -1 where the goal was not
+    reached; `total`: energy to the goal [J]; `expanded`: number of settled cells.
 
-    Returns
-    -------
-    last : int
-        The last cell, -1 where the goal was not reached.
-    total : float
-        Energy to the goal [J].
-    expanded : int
-        Number of settled cells.
-
-    References
-    ----------
-    Meyer & Sanders 2003 (delta-stepping).
+    Reference: Meyer & Sanders 2003 (delta-stepping).
     """
     cells = np.uintp(energy.size)
     moves = jump.size
@@ -334,21 +237,8 @@ def search_cells(
 def trace_cells(pred, jump, last, backward):
     """Return the cells that lead from one cell to the seed that it was reached from.
 
-    Parameters
-    ----------
-    pred : ndarray of uint8, (cells,)
-        As `search_cells` left it.
-    jump : ndarray of int64, (N,)
-        Step of each move in flat indices.
-    last : int
-        The cell to begin with.
-    backward : bool
-        Whether the search was backward.
-
-    Returns
-    -------
-    ndarray of int64, (n,)
-        Flat indices, `last` first.
+    `pred` (cells,): as `search_cells` left it; `jump` (N,): step of each move in flat indices. Result (n,): flat
+    indices, `last` first.
     """
     sign = 1 if backward else -1
     count = 1

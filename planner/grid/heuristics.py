@@ -30,18 +30,7 @@ from joulemap.planner.pricing.moves import MoveTable
 
 
 def energy_bounds(table: MoveTable) -> NDArray[np.float64]:
-    """Return the bounds that A* may use.
-
-    Parameters
-    ----------
-    table : MoveTable
-        Priced moves.
-
-    Returns
-    -------
-    ndarray of float, (B, 2)
-        Pairs (a_s [J/m], s) with a_s >= 0.
-    """
+    """Return the bounds that A* may use. Result (B, 2): pairs (a_s [J/m], s) with a_s >= 0."""
     pairs = np.column_stack([table.bound_per_m, table.rise_share])
     usable = pairs[(pairs[:, 0] >= 0.0) & np.isfinite(pairs[:, 0])]
     return usable if usable.size else np.zeros((1, 2))  # no move at all
@@ -50,15 +39,7 @@ def energy_bounds(table: MoveTable) -> NDArray[np.float64]:
 def dijkstra_bounds(table: MoveTable) -> NDArray[np.float64]:
     """Return the bound that turns A* into Dijkstra's search.
 
-    Parameters
-    ----------
-    table : MoveTable
-        Priced moves.
-
-    Returns
-    -------
-    ndarray of float, (1, 2)
-        The pair (0, s): s = 0, or the least share of the rise that negative prices need.
+    Result (1, 2): the pair (0, s): s = 0, or the least share of the rise that negative prices need.
     """
     usable = energy_bounds(table)
     return np.array([[0.0, usable[:, 1].min()]])
@@ -74,25 +55,8 @@ def guide_towards(
 ) -> Guide:
     """Return the bounds that lead a search to a goal.
 
-    Parameters
-    ----------
-    table : MoveTable
-        Priced moves.
-    bounds : ndarray of float, (B, 2)
-        Pairs (a_s [J/m], s), from `energy_bounds` or `dijkstra_bounds`.
-    goal : ndarray of float, (2,)
-        Fractional (row, col).
-    targets : ndarray of int, (T,)
-        Flat cells that the goal is joined to.
-    rest : ndarray of float, (T,)
-        Energy from each of them to the goal [J].
-    spacing_m : float
-        Side of a cell [m].
-
-    Returns
-    -------
-    Guide
-        For `run_search`.
+    `bounds` (B, 2): pairs (a_s [J/m], s), from `energy_bounds` or `dijkstra_bounds`; `goal` (2,): fractional (row,
+    col); `targets` (T,): flat cells that the goal is joined to; `rest` (T,): energy from each of them to the goal [J].
     """
     surface = table.surface.ravel()
     pairs = bounds * [[spacing_m, 1.0]]  # [J per cell length]
@@ -105,21 +69,7 @@ def guide_towards(
 def guide_everywhere(table: MoveTable, *, backward: bool) -> Guide:
     """Return the bounds for a search to all cells: none, or the potential that negative prices need.
 
-    Parameters
-    ----------
-    table : MoveTable
-        Priced moves.
-    backward : bool
-        Whether moves are run against their direction; the potential then changes sign.
-
-    Returns
-    -------
-    Guide
-        For `run_search`.
-
-    References
-    ----------
-    Johnson 1977.
+    Reference: Johnson 1977.
     """
     pairs = dijkstra_bounds(table) * ([[1.0, -1.0]] if backward else [[1.0, 1.0]])
     pairs = pairs[pairs[:, 1] != 0.0]

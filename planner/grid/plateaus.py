@@ -23,25 +23,9 @@ def plateaus(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     """Return the stretches of moves that two searches share.
 
-    Parameters
-    ----------
-    ahead, behind : Search
-        From the start, and towards the goal.
-    table : MoveTable
-        Their moves.
-    reached : ndarray of int64, (n,)
-        States that the search towards the goal has reached.
-
-    Returns
-    -------
-    states : ndarray of int64, (n,)
-        The state that each plateau begins with.
-    via : ndarray of float64, (n,)
-        Energy of the best path through it [J].
-    length : ndarray of float64, (n,)
-        Energy of the plateau [J].
-    middle : ndarray of int64, (n,)
-        The cell half-way along it.
+    `reached` (n,): states that the search towards the goal has reached. Returns `states` (n,): the state that each
+    plateau begins with; `via` (n,): energy of the best path through it [J]; `length` (n,): energy of the plateau [J];
+    `middle` (n,): the cell half-way along it.
     """
     labels = ahead.energy_j, ahead.pred, behind.energy_j, behind.pred
     return _measured(reached, *labels, table.jump, ahead.layers)

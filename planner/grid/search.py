@@ -43,21 +43,8 @@ class GridPath:
 def joining_legs(lattice: CostLattice, point: Points, *, outward: bool) -> tuple[NDArray[np.int64], Points]:
     """Return the cells around a point and the energy of the straight leg to or from each of their centres.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    point : ndarray of float, (2,)
-        Fractional (row, col).
-    outward : bool
-        Whether the legs lead from the point to the centres, or from the centres to the point.
-
-    Returns
-    -------
-    cells : ndarray of int, (n, 2)
-        (row, col) of the 1 to 4 cells.
-    energy_j : ndarray of float, (n,)
-        Energy of each leg [J]; NaN where it may not be driven.
+    `point` (2,): fractional (row, col). Returns `cells` (n, 2): (row, col) of the 1 to 4 cells; `energy_j` (n,): energy
+    of each leg [J], NaN where it may not be driven.
     """
     rows, cols = lattice.frame.shape
     near_rows = np.unique(np.clip([math.floor(point[0]), math.ceil(point[0])], 0, rows - 1))
@@ -82,30 +69,10 @@ def grid_search(
     With a turn cost the state is (cell, heading) and every change of heading is paid for, at the first and the last
     centre too.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    table : MoveTable
-        Priced moves of the lattice.
-    start, goal : ndarray of float, (2,)
-        Fractional (row, col), joined to the cell centres around them by straight legs.
-    planner : {"astar", "dijkstra"}, default "astar"
-        Whether lower bounds of the energy to come lead the search.
+    `start`, `goal` (2,): fractional (row, col), joined to the cell centres around them by straight legs. Result: the
+    path, with its energy [J] and the number of settled states. Raises NoRouteError if the goal cannot be reached.
 
-    Returns
-    -------
-    GridPath
-        The path, with its energy [J] and the number of settled states.
-
-    Raises
-    ------
-    NoRouteError
-        If the goal cannot be reached.
-
-    References
-    ----------
-    Hart, Nilsson & Raphael 1968 (A*); Dijkstra 1959. Bounds: see `heuristics`. Queue: see `buckets`.
+    Reference: Hart, Nilsson & Raphael 1968 (A*); Dijkstra 1959. Bounds: see `heuristics`. Queue: see `buckets`.
     """
     if planner not in GRID_PLANNERS:
         raise InputError(f"planner must be one of {', '.join(GRID_PLANNERS)}, got {planner!r}", planner=planner)
@@ -126,20 +93,7 @@ def grid_search(
 
 
 def no_route(robot: Robot, reached: int) -> NoRouteError:
-    """Return the error that says that a goal cannot be reached.
-
-    Parameters
-    ----------
-    robot : Robot
-        Whose limits these are.
-    reached : int
-        Number of states that the search reached.
-
-    Returns
-    -------
-    NoRouteError
-        To be raised.
-    """
+    """Return the error that says that a goal cannot be reached."""
     return NoRouteError(
         f"no way leads from start to goal within the limits of {robot.name} (grade {robot.max_grade_deg:g} deg, "
         f"cross slope {robot.max_cross_slope_deg:g} deg): {reached:,} places can be reached from the start, and the "
@@ -153,17 +107,8 @@ def direct_energy(lattice: CostLattice, start: Points, goal: Points) -> float:
 
     The path over a cell centre may be a detour then.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    start, goal : ndarray of float, (2,)
-        Fractional (row, col).
-
-    Returns
-    -------
-    float
-        Energy [J]; infinite where the points are further from each other or the leg may not be driven.
+    `start`, `goal` (2,): fractional (row, col). Result: energy [J]; infinite where the points are further from each
+    other or the leg may not be driven.
     """
     if math.dist(start, goal) > 1.0:
         return math.inf
@@ -174,21 +119,8 @@ def direct_energy(lattice: CostLattice, start: Points, goal: Points) -> float:
 def joined_points(lattice: CostLattice, start: Points, cells: NDArray[np.int64], goal: Points) -> Points:
     """Return the polyline from start over cell centres to goal, without repeated points.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Whose cells these are.
-    start : ndarray of float, (2,)
-        Fractional (row, col).
-    cells : ndarray of int, (k,)
-        Flat cell indices, row * cols + col, in order.
-    goal : ndarray of float, (2,)
-        Fractional (row, col).
-
-    Returns
-    -------
-    ndarray of float, (n, 2)
-        (row, col) polyline.
+    `start` (2,): fractional (row, col); `cells` (k,): flat cell indices, row * cols + col, in order; `goal` (2,):
+    fractional (row, col). Result (n, 2): (row, col) polyline.
     """
     cols = lattice.frame.cols
     return without_repeats(np.vstack([start, np.column_stack([cells // cols, cells % cols]).astype(np.float64), goal]))
@@ -197,15 +129,7 @@ def joined_points(lattice: CostLattice, start: Points, cells: NDArray[np.int64],
 def without_repeats(points: Points) -> Points:
     """Return a polyline without points that repeat the one before them.
 
-    Parameters
-    ----------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    ndarray of float, (m, 2)
-        (row, col) polyline.
+    `points` (n, 2): (row, col) polyline. Result (m, 2): (row, col) polyline.
     """
     keep = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-12)
     return np.ascontiguousarray(points[keep])
@@ -216,27 +140,9 @@ def terminals(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the cells that join a point to the grid, and the energy of joining it.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    table : MoveTable
-        Priced moves of the lattice.
-    point : ndarray of float, (2,)
-        Fractional (row, col).
-    layers : int
-        Number of headings L in a search state, see `states.layer_count`.
-    outward : bool
-        True for a start, False for a goal.
-
-    Returns
-    -------
-    cells : ndarray of int, (S,)
-        Flat cell indices, row * cols + col.
-    cost : ndarray of float, (S, L)
-        Energy [J] of the leg that joins each, by heading. For a start that is the heading of the *next* move, as if the
-        robot had arrived in it; for a goal it is the heading of the last move. The turn between the leg and that
-        heading is included.
+    `point` (2,): fractional (row, col). Returns `cells` (S,): flat cell indices, row * cols + col; `cost` (S, L):
+    energy [J] of the leg that joins each, by heading, for a start that is the heading of the *next* move, as if the
+    robot had arrived in it, for a goal it is the heading of the last move.
     """
     cells, legs = joining_legs(lattice, point, outward=outward)
     cost = np.repeat(legs[:, None], layers, axis=1)

@@ -92,20 +92,7 @@ class Search:
 
 
 def layer_count(lattice: CostLattice, table: MoveTable) -> int:
-    """Return the number of headings in a search state: all of the moves' where turning costs, else one.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        Whose robot counts.
-    table : MoveTable
-        Priced moves.
-
-    Returns
-    -------
-    int
-        Number of layers L.
-    """
+    """Return the number of headings in a search state: all of the moves' where turning costs, else one."""
     return len(table.offsets) if lattice.robot.turn_j_per_rad > 0.0 else 1
 
 
@@ -114,23 +101,7 @@ def new_search(
 ) -> Search:
     """Return a search in which nothing but the seeds has been reached.
 
-    Parameters
-    ----------
-    table : MoveTable
-        Priced moves.
-    layers : int
-        Headings in a search state L, see `layer_count`.
-    cells : ndarray of int, (S,)
-        Flat indices of the seeds.
-    cost : ndarray of float, (S, L)
-        Their energies [J].
-    backward : bool
-        Whether moves will be run against their direction.
-
-    Returns
-    -------
-    Search
-        For `run_search`.
+    `cells` (S,): flat indices of the seeds; `cost` (S, L): their energies [J].
     """
     states = table.surface.size * layers
     search = Search(np.full(states, np.inf), np.zeros(states, dtype=np.uint8), layers, backward)
@@ -153,42 +124,11 @@ def run_search(
 ) -> tuple[int, float, int]:
     """Settle what follows from some cells, in place.
 
-    Parameters
-    ----------
-    search : Search
-        Labels so far; they are changed.
-    table : MoveTable
-        Priced moves.
-    first : ndarray of int, (F,)
-        Flat indices of the cells to begin with, each once.
-    guide : Guide
-        Lower bounds of the energy to come.
-    targets : ndarray of int, (T,), optional
-        Flat indices of cells that are joined to the goal; without them all cells are settled.
-    rest : ndarray of float, (T, layers), optional
-        Energy from them to the goal [J].
-    margin : float, default 0.0
-        Share of the least energy by which paths may exceed it and still have all their states settled.
-    most : float, optional
-        Energy beyond which nothing is settled [J].
-    spent : ndarray of float64, (cells,), optional
-        Energy that a path through a cell needs beside the one that is searched for [J].
-    budget : float, optional
-        Where both together exceed it [J], the cell is left alone.
-
-    Returns
-    -------
-    last : int
-        The last state before the goal, -1 where it was not reached.
-    energy_j : float
-        Energy to the goal [J].
-    settled : int
-        Number of settled states.
-
-    Raises
-    ------
-    Stopped
-        If nobody waits for the answer any more, see `stopping`.
+    `first` (F,): flat indices of the cells to begin with, each once; `targets` (T,); `rest` (T, layers): energy from
+    them to the goal [J]; `most`: energy beyond which nothing is settled [J]; `spent` (cells,): energy that a path
+    through a cell needs beside the one that is searched for [J]; `budget`: where both together exceed it [J], the cell
+    is left alone. Returns `last`: the last state before the goal, -1 where it was not reached; `energy_j`: energy to
+    the goal [J]; `settled`: number of settled states.
     """
     layers = search.layers
     cols = table.energy.shape[1]

@@ -20,13 +20,7 @@ class Stopped(Exception):
 
 
 def new_flag() -> Flag:
-    """Return a flag that is not set.
-
-    Returns
-    -------
-    ndarray of uint8, (1,)
-        Write 1 into it to end what runs under it.
-    """
+    """Return a flag that is not set. Result (1,): write 1 into it to end what runs under it."""
     return np.zeros(1, dtype=np.uint8)
 
 
@@ -34,15 +28,7 @@ def new_flag() -> Flag:
 def stoppable(flag: Flag) -> Iterator[None]:
     """Let searches that this thread begins inside end with `Stopped` soon after a flag is set.
 
-    Parameters
-    ----------
-    flag : ndarray of uint8, (1,)
-        As of `new_flag`.
-
-    Yields
-    ------
-    None
-        Nothing.
+    `flag` (1,): as of `new_flag`.
     """
     token = _FLAG.set(flag)
     try:
@@ -54,21 +40,12 @@ def stoppable(flag: Flag) -> Iterator[None]:
 def stop_flag() -> Flag:
     """Return the flag of what this thread does.
 
-    Returns
-    -------
-    ndarray of uint8, (1,)
-        For kernels; one that is never set where nothing was said.
+    Result (1,): for kernels; one that is never set where nothing was said.
     """
     return _FLAG.get(_NEVER)
 
 
 def check_stop() -> None:
-    """Go on only while the flag of what this thread does is not set.
-
-    Raises
-    ------
-    Stopped
-        If it is set.
-    """
+    """Go on only while the flag of what this thread does is not set."""
     if stop_flag()[0]:
         raise Stopped

@@ -41,62 +41,19 @@ def search_headings(
 
     The state is cell * N + the heading of the robot, which is that of a move.
 
-    Parameters
-    ----------
-    energy : ndarray of float64, (states,)
-        Labels to start from [J]; they are changed.
-    pred : ndarray of uint8, (states,)
-        `SEED`, `DROVE`, `TURNED_RIGHT` or `TURNED_LEFT`; it is changed.
-    price : ndarray of float32, (cells, N)
-        Energy of the move that leaves a cell [J]; NaN where there is none.
-    jump : ndarray of int64, (N,)
-        Step of each move in flat indices.
-    near : ndarray of uint32, (cells,) or (0,)
-        Bit n is set where move n leaves the cell within the margin; empty for no margin, see `MoveTable`.
-    near_j : ndarray of float64, (N,) or (0,)
-        What such a move costs more [J].
-    gap : ndarray of float64, (N,)
-        Energy of turning from heading k to k + 1 [J].
-    first : ndarray of int64, (S,)
-        Cells to begin with.
-    targets : ndarray of int64, (T,)
-        Cells that are joined to the goal.
-    target_rest : ndarray of float64, (T, N)
-        Energy from them to the goal by heading [J].
-    guide : Guide
-        Lower bounds of the energy to come.
-    known : ndarray of float64, (cells,)
-        Zeros; bounds that were computed stand here. (1,) where the guide has none.
-    cols : int
-        Columns of the map.
-    width : float
-        Width of a bucket [J].
-    slack : float
-        Relative gain below which a label stays; above 0 where prices may be negative.
-    backward : bool
-        Whether moves are run against their direction, each at its own price.
-    margin : float
-        Share of the least energy by which paths may exceed it and still have all their states settled.
-    most : float
-        Energy beyond which nothing is settled [J].
-    spent : ndarray of float64, (cells,) or (0,)
-        Energy that a path through a cell needs beside the one that is searched for [J]; empty for none.
-    budget : float
-        Where both together exceed it [J], the cell is left alone.
-    stop : ndarray of uint8, (1,)
-        The search ends early once this is not 0, see `stopping`.
+    `energy` (states,): labels to start from [J], they are changed; `pred` (states,): `SEED`, `DROVE`, `TURNED_RIGHT` or
+    `TURNED_LEFT`, it is changed; `price` (cells, N): energy of the move that leaves a cell [J], NaN where there is
+    none; `jump` (N,): step of each move in flat indices; `near` (cells,): bit n is set where move n leaves the cell
+    within the margin, empty for no margin, see `MoveTable`; `near_j` (N,): what such a move costs more [J]; `gap` (N,):
+    energy of turning from heading k to k + 1 [J]; `first` (S,): cells to begin with; `targets` (T,): cells that are
+    joined to the goal; `target_rest` (T, N): energy from them to the goal by heading [J]; `known` (cells,): zeros,
+    bounds that were computed stand here; `width`: width of a bucket [J]; `slack`: relative gain below which a label
+    stays, above 0 where prices may be negative; `most`: energy beyond which nothing is settled [J]; `spent` (cells,):
+    energy that a path through a cell needs beside the one that is searched for [J], empty for none; `budget`: where
+    both together exceed it [J], the cell is left alone; `stop` (1,): the search ends early once this is not 0, see
+    `stopping`. Returns `last`: the last state, -1 where the goal was not reached; `total`: energy to the goal [J];
+    `expanded`: number of settled states.
 
-    Returns
-    -------
-    last : int
-        The last state, -1 where the goal was not reached.
-    total : float
-        Energy to the goal [J].
-    expanded : int
-        Number of settled states.
-
-    Notes
-    -----
     From a state the robot drives straight ahead, or turns on the spot to the next heading on either side. Turns add up,
     so these reach every heading at its own price, and one round from the cheapest heading of a cell relaxes them all.
     The buckets therefore hold cells, each with a set of headings still to be driven in.
@@ -218,21 +175,7 @@ def _turn(energy, pred, base, gap):
 def trace_headings(pred, jump, last, backward):
     """Return the states that lead from one state to the seed that it was reached from.
 
-    Parameters
-    ----------
-    pred : ndarray of uint8, (states,)
-        As `search_headings` left it.
-    jump : ndarray of int64, (N,)
-        Step of each move in flat indices.
-    last : int
-        The state to begin with.
-    backward : bool
-        Whether the search was backward.
-
-    Returns
-    -------
-    ndarray of int64, (n,)
-        States, `last` first.
+    `pred` (states,): as `search_headings` left it; `jump` (N,): step of each move in flat indices. The result is (n,).
     """
     count = 1
     state = last
@@ -248,24 +191,7 @@ def trace_headings(pred, jump, last, backward):
 
 @njit(cache=True)
 def state_before(code, state, jump, backward):
-    """Return the state that one was reached from.
-
-    Parameters
-    ----------
-    code : int
-        `DROVE`, `TURNED_RIGHT` or `TURNED_LEFT`.
-    state : int
-        The state.
-    jump : ndarray of int64, (N,)
-        Step of each move in flat indices.
-    backward : bool
-        Whether the search was backward.
-
-    Returns
-    -------
-    int
-        The state before it.
-    """
+    """Return the state that one was reached from. `jump` (N,): step of each move in flat indices."""
     moves = jump.size
     heading = state % moves
     if code == DROVE:

@@ -3,9 +3,7 @@
 The header and the offsets of the blocks say where the wanted blocks lie. Only they are read, and given to the decoder
 as a file that has no others.
 
-References
-----------
-The format of Blosc 1: README_CHUNK_FORMAT.rst of c-blosc.
+Reference: the format of Blosc 1: README_CHUNK_FORMAT.rst of c-blosc.
 """
 
 from __future__ import annotations
@@ -27,28 +25,8 @@ _FIRST_READ = 2048
 def decoded_part(file: OpenFile, first: int, end: int) -> tuple[int, bytes]:
     """Decode a part of a file that Blosc wrote.
 
-    Parameters
-    ----------
-    file : OpenFile
-        The file.
-    first, end : int
-        The bytes that are wanted, counted as decoded.
-
-    Returns
-    -------
-    begin : int
-        Where the decoded part begins: at `first` or before.
-    data : bytes
-        What was decoded, up to `end` at least.
-
-    Raises
-    ------
-    DamagedError
-        If what is read is not what was written.
-    ValueError
-        If that is no such file.
-    RuntimeError
-        If the decoder says so.
+    Returns `begin`: where the decoded part begins: at `first` or before; `data`: what was decoded, up to `end` at
+    least. Raises DamagedError if what is read is not what was written.
     """
     size = file.size
     head = file.read(0, _FIRST_READ)

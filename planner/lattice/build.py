@@ -39,23 +39,7 @@ def build_tile(
 
     Memory is bounded by the cells and the heights around them.
 
-    Parameters
-    ----------
-    ground : Ground
-        The heightmap, in memory or in a file.
-    robot : Robot
-        Whose prices and limits these are.
-    source : TractionSource
-        The model that predicts traction [J/m].
-    tiling : Tiling
-        Frame, headings and tiles of the whole lattice.
-    rows, cols : slice
-        The cells to build.
-
-    Returns
-    -------
-    CostLattice
-        The cells; its provenance is empty, see `provenance_of`.
+    `source`: the model that predicts traction [J/m]. Result: the cells; its provenance is empty, see `provenance_of`.
     """
     frame = tiling.frame.window(rows.start, rows.stop, cols.start, cols.stop)
     heights = ground_of(ground, frame, robot)
@@ -69,21 +53,7 @@ def build_tile(
 def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: Tiling) -> dict[str, Any]:
     """Return how a lattice is made, with every warning about the map and the robot.
 
-    Parameters
-    ----------
-    ground : Ground
-        The heightmap.
-    robot : Robot
-        Whose prices and limits these are.
-    source : TractionSource
-        The model.
-    tiling : Tiling
-        Frame and headings of the lattice.
-
-    Returns
-    -------
-    dict
-        JSON-able: version and time, heightmap, model, `spacing_m`, `headings`, `warnings`.
+    Result: JSON-able: version and time, heightmap, model, `spacing_m`, `headings`, `warnings`.
     """
     return {
         "joulemap": version("joulemap"),
@@ -114,36 +84,8 @@ def build_lattice(
 ) -> CostLattice:
     """Build the cost lattice of a whole heightmap in memory.
 
-    Parameters
-    ----------
-    ground : Ground
-        The heightmap, in memory or in a file.
-    robot : Robot
-        Whose prices and limits these are.
-    source : TractionSource
-        The model that predicts traction [J/m].
-    spacing_m : float, default 1.0
-        Side of a cell [m].
-    headings : int, default 16
-        Number of heading bins, 4 to 360.
-    tile_cells : int, optional
-        Side of a tile [cells]; chosen from the heightmap's resolution where None.
-    progress : callable, optional
-        Called with the share that is done, 0..1.
-
-    Returns
-    -------
-    CostLattice
-        The lattice with its provenance.
-
-    Raises
-    ------
-    InputError
-        If the number of headings is out of range.
-    HeightmapError
-        If the spacing does not fit the map.
-    TooLargeError
-        Above `MAX_LATTICE_VALUES`.
+    `source`: the model that predicts traction [J/m]; `tile_cells`: side of a tile [cells], chosen from the heightmap's
+    resolution where None.
     """
     tiling = Tiling.of(ground.frame, spacing_m=spacing_m, headings=headings, side=tile_cells)
     frame = tiling.frame
@@ -187,32 +129,7 @@ def write_lattice(
 
     Cut off by an exception, Ctrl-C or SIGTERM, it leaves nothing behind.
 
-    Parameters
-    ----------
-    path : str or Path
-        The folder, usually NAME.zarr. A cost lattice that is there is replaced at the end.
-    ground : Ground
-        The heightmap, in memory or in a file.
-    robot : Robot
-        Whose prices and limits these are.
-    source : TractionSource
-        The model that predicts traction [J/m].
-    tiling : Tiling
-        Frame, headings and tiles of the lattice.
-    each : callable, optional
-        Called with the `CostLattice` of every tile.
-    progress : callable, optional
-        Called with the share that is done, 0..1.
-
-    Returns
-    -------
-    dict
-        The lattice's provenance, see `provenance_of`.
-
-    Raises
-    ------
-    InputError
-        If something else than a cost lattice is at `path`.
+    `source`: the model that predicts traction [J/m]. Result: the lattice's provenance, see `provenance_of`.
     """
     folder = LatticeFolder(path)
     with _Interruptions() as interruptions, folder.whole_or_nothing():
@@ -284,20 +201,7 @@ class _Interruptions:
 
 
 def knows_spread(source: TractionSource, robot: Robot) -> bool:
-    """Return whether a model gives the standard deviation of its predictions, asked on a little flat ground.
-
-    Parameters
-    ----------
-    source : TractionSource
-        The model.
-    robot : Robot
-        The robot to ask for.
-
-    Returns
-    -------
-    bool
-        Whether the lattice will have `std_j`.
-    """
+    """Return whether a model gives the standard deviation of its predictions, asked on a little flat ground."""
     flat = Heightmap(np.zeros((8, 8), dtype=np.float32), GridFrame(0.0, 8.0, 1.0, 8, 8))
     cell = flat.frame.window(3, 5, 3, 5)
     return source.traction_and_std(flat, robot, cell, heading_bins(4))[1] is not None

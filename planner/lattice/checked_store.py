@@ -14,13 +14,7 @@ from joulemap.planner.lattice.checksums import Checksums
 
 
 class CheckedStore(WrapperStore[LocalStore]):
-    """A store for reading: what was written comes back, or it is an error. What was never written is not there.
-
-    Parameters
-    ----------
-    checksums : Checksums
-        Of its folder.
-    """
+    """A store for reading: what was written comes back, or it is an error. What was never written is not there."""
 
     def __init__(self, checksums: Checksums) -> None:
         super().__init__(LocalStore(checksums.folder, read_only=True))
@@ -28,18 +22,7 @@ class CheckedStore(WrapperStore[LocalStore]):
 
     @classmethod
     def of(cls, group: zarr.Group) -> CheckedStore:
-        """Return the store of a group that was opened with one.
-
-        Parameters
-        ----------
-        group : zarr.Group
-            From `lattice_io.open_group`.
-
-        Returns
-        -------
-        CheckedStore
-            Its store.
-        """
+        """Return the store of a group that was opened with one."""
         store = group.store
         assert isinstance(store, cls)
         return store
@@ -50,19 +33,7 @@ class CheckedStore(WrapperStore[LocalStore]):
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
         """Return a file or a part of it, as `zarr.abc.store.Store` describes it.
 
-        Parameters
-        ----------
-        key : str
-            Name of the file.
-        prototype : BufferPrototype
-            Of what is returned.
-        byte_range : ByteRequest, optional
-            The part; the whole by default.
-
-        Returns
-        -------
-        Buffer or None
-            None for what was never written.
+        Result: None for what was never written.
         """
         if key not in self.checksums:
             return None
@@ -70,35 +41,11 @@ class CheckedStore(WrapperStore[LocalStore]):
         return prototype.buffer.from_bytes(content[_part(byte_range, len(content))])
 
     async def get_partial_values(self, prototype: Any, key_ranges: Iterable[tuple[str, Any]]) -> list[Any]:
-        """Return several files or parts of files.
-
-        Parameters
-        ----------
-        prototype : BufferPrototype
-            Of what is returned.
-        key_ranges : iterable of (str, ByteRequest)
-            Names and parts.
-
-        Returns
-        -------
-        list of Buffer or None
-            As of `get`.
-        """
+        """Return several files or parts of files."""
         return [await self.get(key, prototype, part) for key, part in key_ranges]
 
     async def exists(self, key: str) -> bool:
-        """Return whether a file was written.
-
-        Parameters
-        ----------
-        key : str
-            Its name.
-
-        Returns
-        -------
-        bool
-            True for one that was lost, too: reading it says so.
-        """
+        """Return whether a file was written. Result: True for one that was lost, too: reading it says so."""
         return key in self.checksums
 
 

@@ -29,19 +29,7 @@ MADE_FROM_IT = "coarse-"
 
 
 class OpenFile:
-    """A file that is open; every piece that is read is verified.
-
-    Parameters
-    ----------
-    source : int
-        Its descriptor.
-    size : int
-        Its length [bytes].
-    pieces : ndarray of uint32
-        Checksum of each piece.
-    words : str
-        How the file is named in an error.
-    """
+    """A file that is open; every piece that is read is verified. `size`: its length [bytes]."""
 
     def __init__(self, source: int, size: int, pieces: NDArray[np.uint32], words: str) -> None:
         self._source, self.size, self._pieces, self._words = source, size, pieces, words
@@ -49,20 +37,8 @@ class OpenFile:
     def read(self, first: int, end: int) -> bytes:
         """Return some bytes of the file.
 
-        Parameters
-        ----------
-        first, end : int
-            Where they begin, and where they end.
-
-        Returns
-        -------
-        bytes
-            As they were written; fewer where the file ends before.
-
-        Raises
-        ------
-        DamagedError
-            If they are others than were written.
+        As they were written; fewer where the file ends before. Raises DamagedError if they are others than were
+        written.
         """
         end = min(end, self.size)
         a, b = first // PIECE_BYTES, -(-end // PIECE_BYTES)
@@ -77,12 +53,7 @@ class OpenFile:
 class Checksums:
     """The files of a folder, as they were when their checksums were taken.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    files : mapping
-        By name within the folder: size [bytes], and the checksum of each piece.
+    `files`: by name within the folder: size [bytes], and the checksum of each piece.
     """
 
     def __init__(self, folder: Path, files: Mapping[str, tuple[int, NDArray[np.uint32]]]) -> None:
@@ -90,18 +61,7 @@ class Checksums:
 
     @classmethod
     def take(cls, folder: Path) -> Checksums:
-        """Take the checksums of all files that are there now.
-
-        Parameters
-        ----------
-        folder : Path
-            The folder.
-
-        Returns
-        -------
-        Checksums
-            Not written yet.
-        """
+        """Take the checksums of all files that are there now."""
         files = {}
         for file in sorted(_files(folder)):
             content = file.read_bytes()
@@ -113,20 +73,7 @@ class Checksums:
     def read(cls, folder: Path) -> Checksums | None:
         """Read what `write` wrote.
 
-        Parameters
-        ----------
-        folder : Path
-            The folder.
-
-        Returns
-        -------
-        Checksums or None
-            None where there are none.
-
-        Raises
-        ------
-        DamagedError
-            If they are damaged themselves.
+        Result: None where there are none. Raises DamagedError if they are damaged themselves.
         """
         try:
             own, _, content = (folder / FILE).read_bytes().partition(b"\n")
@@ -158,23 +105,7 @@ class Checksums:
 
     @contextmanager
     def open(self, name: str) -> Iterator[OpenFile]:
-        """Open a file for reading.
-
-        Parameters
-        ----------
-        name : str
-            Its name in the folder; it is one of these.
-
-        Yields
-        ------
-        OpenFile
-            Verifies what it reads.
-
-        Raises
-        ------
-        DamagedError
-            If the file is missing, or has another size.
-        """
+        """Open a file for reading. Raises DamagedError if the file is missing, or has another size."""
         size, pieces = self._files[name]
         words = f"{self.folder.name}/{name}"
         try:
@@ -190,53 +121,18 @@ class Checksums:
             os.close(source)
 
     def content(self, name: str) -> bytes:
-        """Return a whole file.
-
-        Parameters
-        ----------
-        name : str
-            Its name in the folder; it is one of these.
-
-        Returns
-        -------
-        bytes
-            As it was written.
-
-        Raises
-        ------
-        DamagedError
-            If it is missing, or damaged.
-        """
+        """Return a whole file. Raises DamagedError if it is missing, or damaged."""
         with self.open(name) as file:
             return file.read(0, file.size)
 
     def verify(self) -> None:
-        """Read every file.
-
-        Raises
-        ------
-        DamagedError
-            If one is missing, or damaged.
-        """
+        """Read every file. Raises DamagedError if one is missing, or damaged."""
         for name in self:
             self.content(name)
 
 
 def damaged(what: str, why: str) -> DamagedError:
-    """Return the error of a part of a cost map, with what to do.
-
-    Parameters
-    ----------
-    what : str
-        The folder and the file in it.
-    why : str
-        What is wrong.
-
-    Returns
-    -------
-    DamagedError
-        To be raised.
-    """
+    """Return the error of a part of a cost map, with what to do."""
     return DamagedError(
         f"the cost map is damaged: {what}: {why}. Make it again (`joulemap costmap`; for a service `joulemap check "
         "--repair`), or take it from a backup",

@@ -32,24 +32,8 @@ _KEPT_ROWS = 4
 def read_chunk(of: zarr.Array[Any], i: int, j: int, top: int = 0, down: int | None = None) -> NDArray[Any]:
     """Read rows of one chunk of an array.
 
-    Parameters
-    ----------
-    of : zarr array, (rows, cols, ...)
-        The array.
-    i, j : int
-        The chunk: its rows and columns begin at i and j times the sides of a chunk. It has all of the other axes.
-    top, down : int, optional
-        The first row of the chunk, and the one after the last; all by default.
-
-    Returns
-    -------
-    ndarray
-        Its values, without what lies beyond the array; not writable.
-
-    Raises
-    ------
-    DamagedError
-        If the chunk is lost, or is not what was written.
+    `of` is (rows, cols, ...). Result: its values, without what lies beyond the array; not writable. Raises DamagedError
+    if the chunk is lost, or is not what was written.
     """
     high, wide = of.chunks[:2]
     rows, cols = min(high, of.shape[0] - i * high), min(wide, of.shape[1] - j * wide)
@@ -74,20 +58,8 @@ def read_chunk(of: zarr.Array[Any], i: int, j: int, top: int = 0, down: int | No
 def read_array(of: zarr.Array[Any]) -> NDArray[Any]:
     """Read a whole array, its chunks on several threads.
 
-    Parameters
-    ----------
-    of : zarr array, (rows, cols, ...)
-        The array.
-
-    Returns
-    -------
-    ndarray, (rows, cols, ...)
-        Its values.
-
-    Raises
-    ------
-    DamagedError
-        If a chunk is lost, or is not what was written.
+    `of` is (rows, cols, ...). The result is (rows, cols, ...). Raises DamagedError if a chunk is lost, or is not what
+    was written.
     """
     out = np.empty(of.shape, of.dtype)
     high, wide = of.chunks[:2]
@@ -108,35 +80,14 @@ def _is_own(of: zarr.Array[Any]) -> bool:
 
 
 class Chunks:
-    """What was read last of the chunks of any arrays. Several threads may ask at once.
-
-    Parameters
-    ----------
-    most_bytes : int
-        Memory of what is kept [bytes], two thirds of it for borders.
-    """
+    """What was read last of the chunks of any arrays. Several threads may ask at once."""
 
     def __init__(self, most_bytes: int) -> None:
         self._rows = _Kept(most_bytes // 3)
         self._borders = _Kept(most_bytes - most_bytes // 3)
 
     def get(self, of: zarr.Array[Any], i: int, j: int, rows: tuple[int, int], cols: tuple[int, int]) -> NDArray[Any]:
-        """Return a part of one chunk.
-
-        Parameters
-        ----------
-        of : zarr array, (rows, cols, ...)
-            The array.
-        i, j : int
-            The chunk.
-        rows, cols : tuple of int
-            The first row and column of the part, counted from the chunk's own, and the ones after the last.
-
-        Returns
-        -------
-        ndarray
-            Its values.
-        """
+        """Return a part of one chunk. `of` is (rows, cols, ...)."""
         (top, down), (left, right) = rows, cols
         sides = _sides(of, i, j)
         for side, (row, row1, col, col1) in sides.items():

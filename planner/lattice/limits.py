@@ -31,26 +31,9 @@ def ground_limits(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
     """Return elevation, gradient and the blocked codes that hold for every heading.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        Heights of the cells and of the square metre around each.
-    frame : GridFrame
-        The cells.
-    robot : Robot
-        The robot, whose wheel radius counts.
+    Returns `elevation` (rows, cols): at the cell centre [m]; `gradient` (rows, cols, 2): rise per metre to east and
+    north of the least-squares plane through the square metre around the cell; `blocked` (rows, cols): `Blocked` codes.
 
-    Returns
-    -------
-    elevation : ndarray of float32, (rows, cols)
-        At the cell centre [m].
-    gradient : ndarray of float32, (rows, cols, 2)
-        Rise per metre to east and north of the least-squares plane through the square metre around the cell.
-    blocked : ndarray of uint8, (rows, cols)
-        `Blocked` codes.
-
-    Notes
-    -----
     A step is what a wheel or the underside of the robot hits, either of
 
     - a rise within one wheel diameter (to whole pixels, so only maps finer than a wheel show it), along a row or a
@@ -87,20 +70,7 @@ def ground_limits(
 
 
 def noise_warnings(noise_m: float, robot: Robot) -> list[str]:
-    """Return what noise of a survey can hide from the limits.
-
-    Parameters
-    ----------
-    noise_m : float
-        Its standard deviation [m].
-    robot : Robot
-        The robot, whose wheel radius counts.
-
-    Returns
-    -------
-    list of str
-        A warning, or nothing.
-    """
+    """Return what noise of a survey can hide from the limits."""
     if noise_m < LEAST_NOISE_M:
         return []
     said = (

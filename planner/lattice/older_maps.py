@@ -28,22 +28,7 @@ _CODES = np.array([int(code) for code in Blocked], dtype=np.uint8)
 def checked(folder: Path, node: dict[str, Any]) -> Checksums:
     """Return the checksums of a cost map that has none, once it is checked; they are kept in its folder.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    node : dict
-        Its `zarr.json`.
-
-    Returns
-    -------
-    Checksums
-        Of what is there.
-
-    Raises
-    ------
-    DamagedError
-        If something is lost, or does not fit together.
+    Raises DamagedError if something is lost, or does not fit together.
     """
     sums = Checksums.take(folder)
     _check_metadata(folder, node, sums)

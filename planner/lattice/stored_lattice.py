@@ -32,34 +32,7 @@ _LIMITS = ("gradient", "blocked")
 class StoredLattice:
     """A lattice folder, opened without reading its arrays. Several threads may ask at once.
 
-    Parameters
-    ----------
-    path : str or Path
-        A folder written by `save_lattice` or `write_lattice`.
-    kept_bytes : int, default 100 MB
-        How much of what was read last is kept in memory: neighbouring windows share chunks.
-
-    Attributes
-    ----------
-    path : Path
-        The folder.
-    frame : GridFrame
-        Where the cells lie.
-    robot : Robot
-        Whose prices and limits these are.
-    headings : int
-        Number of heading bins.
-    provenance : dict
-        How the lattice was made.
-    chunk : int
-        Cells along a chunk on disk.
-
-    Raises
-    ------
-    InputError
-        If `path` is missing or is not a cost lattice.
-    DamagedError
-        If it is a damaged one, here or when a window is read.
+    Raises DamagedError if it is a damaged one, here or when a window is read.
     """
 
     def __init__(self, path: str | Path, *, kept_bytes: int = 100_000_000) -> None:
@@ -81,18 +54,7 @@ class StoredLattice:
         self._avoided: tuple[Polygon, ...] = ()
 
     def avoiding(self, areas: tuple[Polygon, ...]) -> StoredLattice:
-        """Return the same lattice, which shares what was read, with the cells of some polygons blocked.
-
-        Parameters
-        ----------
-        areas : tuple of Polygon
-            From `avoid.checked_polygons`.
-
-        Returns
-        -------
-        StoredLattice
-            Its windows have them blocked.
-        """
+        """Return the same lattice, which shares what was read, with the cells of some polygons blocked."""
         other = copy(self)
         other._avoided = areas
         return other
@@ -108,20 +70,7 @@ class StoredLattice:
         return self.frame.rows * self.frame.cols
 
     def window(self, row0: int, row1: int, col0: int, col1: int, *, what: tuple[str, ...] | None = None) -> CostLattice:
-        """Return the lattice of cells [row0, row1) x [col0, col1); what lies beyond the map is blocked.
-
-        Parameters
-        ----------
-        row0, row1, col0, col1 : int
-            The cells; they may lie beyond the map.
-        what : tuple of str, optional
-            Names of the arrays to read; the others are filled as unknown. All by default.
-
-        Returns
-        -------
-        CostLattice
-            In memory.
-        """
+        """Return the lattice of cells [row0, row1) x [col0, col1); what lies beyond the map is blocked."""
         arrays: dict[str, Any] = {}
         shape = row1 - row0, col1 - col0
         for name, of in self._arrays.items():
@@ -137,36 +86,13 @@ class StoredLattice:
         return without(lattice, self._avoided) if self._avoided and (what is None or "blocked" in what) else lattice
 
     def limits(self, row0: int, row1: int, col0: int, col1: int) -> CostLattice:
-        """Return a window with gradients and blocked cells only.
-
-        Parameters
-        ----------
-        row0, row1, col0, col1 : int
-            The cells; they may lie beyond the map.
-
-        Returns
-        -------
-        CostLattice
-            Its prices are unknown.
-        """
+        """Return a window with gradients and blocked cells only."""
         return self.window(row0, row1, col0, col1, what=_LIMITS)
 
     def read(self, of: zarr.Array[Any], fill: float, row0: int, row1: int, col0: int, col1: int) -> NDArray[Any]:
         """Return a window of an array over the cells of this lattice.
 
-        Parameters
-        ----------
-        of : zarr array, (rows, cols, ...)
-            The array, chunked along rows and columns alone.
-        fill : float
-            What stands beyond the map.
-        row0, row1, col0, col1 : int
-            The cells; they may lie beyond the map.
-
-        Returns
-        -------
-        ndarray
-            In memory.
+        `of` (rows, cols, ...): the array, chunked along rows and columns alone.
         """
         high, wide = of.chunks[:2]
         out = np.full((row1 - row0, col1 - col0, *of.shape[2:]), fill, dtype=of.dtype)

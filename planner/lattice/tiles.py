@@ -44,28 +44,7 @@ class Tiling:
     def of(cls, ground: GridFrame, *, spacing_m: float, headings: int, side: int | None = None) -> Tiling:
         """Return the tiles of a lattice over a heightmap; the same on every machine.
 
-        Parameters
-        ----------
-        ground : GridFrame
-            The heightmap's frame.
-        spacing_m : float
-            Side of a cell of the lattice [m].
-        headings : int
-            Number of heading bins, 4 to 360.
-        side : int, optional
-            Cells along a tile; chosen from the heightmap's resolution where None.
-
-        Returns
-        -------
-        Tiling
-            The tiles.
-
-        Raises
-        ------
-        InputError
-            If the number of headings is out of range.
-        HeightmapError
-            If the spacing does not fit the map.
+        `side`: cells along a tile, chosen from the heightmap's resolution where None.
         """
         low, high = int(HEADINGS.low), int(HEADINGS.high)
         if headings not in HEADINGS:
@@ -104,22 +83,8 @@ class Tiling:
 def ground_of(ground: Ground, cells: GridFrame, robot: Robot) -> Heightmap:
     """Return the heights that some cells of a lattice depend on.
 
-    Parameters
-    ----------
-    ground : Ground
-        The heightmap, in memory or in a file.
-    cells : GridFrame
-        The cells.
-    robot : Robot
-        The robot, whose size counts.
+    Result: the expected heights of the cells and of a margin around them, without the noise of the survey.
 
-    Returns
-    -------
-    Heightmap
-        The expected heights of the cells and of a margin around them, without the noise of the survey.
-
-    Notes
-    -----
     A model reads the square around a place and what lies under the robot there; limits reach as far as a wheel rolls
     beyond the square.
     """

@@ -22,18 +22,7 @@ BLOCK_CELLS = 32
 
 
 class Strip:
-    """The part of a stored lattice that was read so far.
-
-    Parameters
-    ----------
-    stored : StoredLattice
-        The whole lattice.
-
-    Attributes
-    ----------
-    lattice : CostLattice
-        Of the size of the map; blocked as unknown where nothing was read.
-    """
+    """The part of a stored lattice that was read so far."""
 
     def __init__(self, stored: StoredLattice) -> None:
         self._stored = stored
@@ -55,15 +44,7 @@ class Strip:
         return int(self._read.sum()) * BLOCK_CELLS**2 * per_cell
 
     def read_along(self, points: Points, *, cells: int) -> None:
-        """Read what lies near a polyline.
-
-        Parameters
-        ----------
-        points : ndarray of float, (n, 2)
-            Fractional (row, col).
-        cells : int
-            How far from it the lattice is wanted, at least [cells]; 1 or more.
-        """
+        """Read what lies near a polyline. `points` (n, 2): fractional (row, col)."""
         wanted = np.zeros_like(self._read)
         for (row0, col0), (row1, col1) in zip(points[:-1], points[1:], strict=True):
             count = int(max(abs(row1 - row0), abs(col1 - col0)) / min(2 * cells, BLOCK_CELLS)) + 2
@@ -99,18 +80,8 @@ class Strip:
 def reserved(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return an array of zeros that takes no memory yet, whatever its size.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Its shape.
-    dtype : dtype
-        Its type.
-
-    Returns
-    -------
-    ndarray
-        The system gives it memory page by page, as they are written, and never in huge pages: these would take several
-        times what is written.
+    Result: the system gives it memory page by page, as they are written, and never in huge pages: these would take
+    several times what is written.
     """
     size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
     flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | getattr(mmap, "MAP_NORESERVE", 0)

@@ -48,49 +48,14 @@ def advance(
 ):
     """Go on with a search until it ends or needs something.
 
-    Parameters
-    ----------
-    energy : ndarray of float64, (cells,)
-        Labels [J], tile by tile.
-    ahead : ndarray of float32, (cells,)
-        Lower bounds of the energy to the goal [J].
-    pred : ndarray of uint8, (cells,)
-        Move + 1 by which a cell was reached, 0 for a seed, with the flag `WAITS`.
-    least : ndarray of float64, (tiles,)
-        Least key of the waiting cells of each tile [J]; it is changed.
-    slot_of : ndarray of int32, (tiles,)
-        Where the prices of a tile are; -1 where they are not there.
-    opened : ndarray of bool, (tiles,)
-        Whether labels and bounds of a tile are there.
-    used : ndarray of int64, (tiles,)
-        When the prices of a tile were used last; it is changed.
-    prices : ndarray of float32, (slots, cells of a tile, N)
-        Energy of the move that leaves a cell [J]; NaN where there is none.
-    shift : int
-        A tile is 2 ** shift cells wide.
-    tile_cols : int
-        Tiles along a row of tiles.
-    offsets : ndarray of int64, (N, 2)
-        (drow, dcol) of each move.
-    state : ndarray of int64, (2,)
-        The integer state.
-    energies : ndarray of float64, (2,)
-        The state of energies.
-    targets : ndarray of int64, (T,)
-        Cells that are joined to the goal.
-    rest : ndarray of float64, (T,)
-        Energy from them to the goal [J].
-    thickness : float
-        How far above the least key a tile is settled [J].
-    steps : int
-        Cells after which it pauses.
-
-    Returns
-    -------
-    code : int
-        `DONE`, `LOAD`, `OPEN` or `PAUSE`.
-    tile : int
-        The tile that is needed.
+    `energy` (cells,): labels [J], tile by tile; `ahead` (cells,): lower bounds of the energy to the goal [J]; `pred`
+    (cells,); `least` (tiles,): least key of the waiting cells of each tile [J], it is changed; `slot_of` (tiles,):
+    where the prices of a tile are, -1 where they are not there; `opened` (tiles,): whether labels and bounds of a tile
+    are there; `used` (tiles,): when the prices of a tile were used last, it is changed; `prices` (slots, cells of a
+    tile, N): energy of the move that leaves a cell [J], NaN where there is none; `offsets` (N, 2): (drow, dcol) of each
+    move; `state` (2,): the integer state; `energies` (2,): the state of energies; `targets` (T,): cells that are joined
+    to the goal; `rest` (T,): energy from them to the goal [J]; `thickness`: how far above the least key a tile is
+    settled [J]. Returns `code`: `DONE`, `LOAD`, `OPEN` or `PAUSE`; `tile`: the tile that is needed.
     """
     side = 1 << shift
     cells = side * side
@@ -243,21 +208,8 @@ def _unlink(after, before, chain, heads, cell):
 def traced(pred, last, shift, tile_cols, offsets):
     """Return the cells that lead from one cell to the seed that it was reached from.
 
-    Parameters
-    ----------
-    pred : ndarray of uint8, (cells,)
-        As `advance` left it.
-    last : int
-        The cell to begin with.
-    shift, tile_cols : int
-        As for `advance`.
-    offsets : ndarray of int64, (N, 2)
-        (drow, dcol) of each move.
-
-    Returns
-    -------
-    ndarray of int64, (n, 2)
-        (row, col), `last` first.
+    `pred` (cells,): as `advance` left it; `offsets` (N, 2): (drow, dcol) of each move. Result (n, 2): (row, col),
+    `last` first.
     """
     mask = (1 << shift) - 1
     tile = last >> (2 * shift)

@@ -22,17 +22,8 @@ TOUCH = 1e-9
 def heading_memory(bins):
     """Return memory for the weights of one heading, and what they are computed from.
 
-    Parameters
-    ----------
-    bins : int
-        Number of heading bins K.
-
-    Returns
-    -------
-    weights : ndarray of float64, (K,)
-        To be filled by `heading_weights`.
-    directions : ndarray of float64, (4, K)
-        North and east component of every bin's heading, and the same with alternating signs.
+    Returns `weights` (K,): to be filled by `heading_weights`; `directions` (4, K): north and east component of every
+    bin's heading, and the same with alternating signs.
     """
     directions = np.empty((4, bins))
     for k in range(bins):
@@ -46,22 +37,11 @@ def heading_memory(bins):
 def heading_weights(east, north, memory):
     """Fill memory with the weights of the trigonometric interpolation between equal heading bins.
 
-    Parameters
-    ----------
-    east, north : float
-        Unit vector of the heading.
-    memory : tuple of ndarray
-        As `heading_memory` returned it; its first array is filled with the weight of each bin. They sum to 1.
-
-    Notes
-    -----
     The periodic sinc (Dirichlet) kernel: exact for every Fourier series of order below K / 2. With d_k the angle from
     bin k, and K even, its weight is sin(K d_k / 2) / (K tan(d_k / 2)). sin(K d / 2) is a power at the nearest bin, and
     elsewhere the same value with alternating sign; so no trigonometric function is called.
 
-    References
-    ----------
-    Berrut & Trefethen 2004, section 7.
+    Reference: Berrut & Trefethen 2004, section 7.
     """
     weights, directions = memory
     bins = weights.size
@@ -121,17 +101,9 @@ def _nearest_bin(east, north, bins):
 def mean_response(t0, tm, t1, regeneration):
     """Return the mean price of motion over a piece of a leg.
 
-    Parameters
-    ----------
-    t0, tm, t1 : float
-        Traction at the start, the middle and the end of the piece [J/m].
-    regeneration : float
-        Share of the energy that comes back where the traction is negative, 0..1.
-
-    Returns
-    -------
-    float
-        Mean of max(t, 0) + regeneration * min(t, 0) [J/m], t the quadratic through the three.
+    `t0`, `tm`, `t1`: traction at the start, the middle and the end of the piece [J/m]; `regeneration`: share of the
+    energy that comes back where the traction is negative, 0..1. Result: mean of max(t, 0) + regeneration * min(t, 0)
+    [J/m], t the quadratic through the three.
     """
     mean, ends = (t0 + 4.0 * tm + t1) / 6.0, t0 + t1
     if t0 >= 0.0 and t1 >= 0.0 and 4.0 * tm >= ends:  # the Bezier coefficients of the quadratic are not negative
@@ -181,18 +153,8 @@ def _corner(traction, gradient, blocked, weights, east, north, limits, i, j):
 def fill_tractions(out, traction, gradient, blocked, terms, directions, weights, i, j):
     """Fill the tractions of a cell at some headings.
 
-    Parameters
-    ----------
-    out : ndarray of float32, (H,)
-        Is filled [J/m]; NaN where the cell may not be driven at a heading.
-    traction, gradient, blocked, terms : ndarray
-        As for `leg_energy`.
-    directions : ndarray of float64, (H, 2)
-        East and north component of each heading.
-    weights : ndarray of float64, (H, K)
-        Weights of the heading bins at each heading.
-    i, j : int
-        Row and column of the cell.
+    `out` (H,): is filled [J/m], NaN where the cell may not be driven at a heading; `directions` (H, 2): east and north
+    component of each heading; `weights` (H, K): weights of the heading bins at each heading.
     """
     if blocked[i, j] != 0:
         out[:] = np.nan
@@ -212,26 +174,10 @@ def fill_tractions(out, traction, gradient, blocked, terms, directions, weights,
 def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
     """Return the energy of the straight leg from (row0, col0) to (row1, col1).
 
-    Parameters
-    ----------
-    traction : ndarray of float32, (rows, cols, K)
-        Traction of the lattice [J/m].
-    gradient : ndarray of float32, (rows, cols, 2)
-        Rise per metre towards east and north.
-    blocked : ndarray of uint8, (rows, cols)
-        `Blocked` codes for every heading.
-    terms : ndarray of float64, (9,)
-        Side of a cell [m], idle energy per metre [J/m], regeneration, tangents of the greatest grade and cross slope,
-        greatest traction [J/m]; the last three are those of `driven_leg_energy`.
-    row0, col0 : float
-        Start.
-    row1, col1 : float
-        End.
-
-    Returns
-    -------
-    float
-        Energy [J]; NaN where the leg may not be driven.
+    `traction` (rows, cols, K): traction of the lattice [J/m]; `gradient` (rows, cols, 2): rise per metre towards east
+    and north; `blocked` (rows, cols): `Blocked` codes for every heading; `terms` (9,): side of a cell [m], idle energy
+    per metre [J/m], regeneration, tangents of the greatest grade and cross slope, greatest traction [J/m], the last
+    three are those of `driven_leg_energy`. Result: energy [J]; NaN where the leg may not be driven.
     """
     memory = heading_memory(traction.shape[2])
     return leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
@@ -241,24 +187,9 @@ def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
 def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most):
     """Return the energy of a leg as `leg_energy` does, with memory of the caller and a limit.
 
-    Parameters
-    ----------
-    memory : tuple of ndarray
-        As `heading_memory` returned it; it is written to.
-    traction, gradient, blocked, terms : ndarray
-        As for `leg_energy`.
-    row0, col0, row1, col1 : float
-        Start and end.
-    most : float
-        Where the energy exceeds this [J], the rest of the leg is not looked at. Infinite where prices may be negative.
+    `most`: where the energy exceeds this [J], the rest of the leg is not looked at, infinite where prices may be
+    negative. Result: energy [J]; NaN where the leg may not be driven; above `most`, some number above it or NaN.
 
-    Returns
-    -------
-    float
-        Energy [J]; NaN where the leg may not be driven; above `most`, some number above it or NaN.
-
-    Notes
-    -----
     The leg is cut where it crosses lines of cell centres (Amanatides & Woo 1987). It is compiled into its callers: to
     hand over all these arrays takes a third of the time that a short leg takes.
     """
@@ -341,24 +272,8 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
 def driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most):
     """Return the mean energy of a leg that is driven with an error to its sides.
 
-    Parameters
-    ----------
-    memory : tuple of ndarray
-        As `heading_memory` returned it; it is written to.
-    traction, gradient, blocked, terms : ndarray
-        As for `leg_energy`; the last three terms say how it is driven, see `integrator.driven_prices`.
-    row0, col0, row1, col1 : float
-        Start and end.
-    most : float
-        As for `leg_energy_with`.
+    Result: energy [J]; NaN where the leg itself may not be driven.
 
-    Returns
-    -------
-    float
-        Energy [J]; NaN where the leg itself may not be driven. Where one beside it may not, a penalty is in it.
-
-    Notes
-    -----
     The mean of a normal error from three legs side by side (Gauss-Hermite), exact for a price that is quadratic across
     the leg. They are longer than it by the margin at both ends, because a robot is late and early too. Where the margin
     is wider than a cell, legs between them are looked at, so that nothing is passed by.
@@ -392,26 +307,10 @@ def driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, ro
 def leg_energies(traction, gradient, blocked, terms, legs):
     """Return the energies of many straight legs.
 
-    Parameters
-    ----------
-    traction : ndarray of float32, (rows, cols, K)
-        As for `leg_energy`, like the next three.
-    gradient : ndarray of float32, (rows, cols, 2)
-        Rise per metre.
-    blocked : ndarray of uint8, (rows, cols)
-        `Blocked` codes.
-    terms : ndarray of float64, (9,)
-        Terms of the price.
-    legs : ndarray of float64, (n, 4)
-        row0, col0, row1, col1 of each.
+    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked` (rows, cols): `Blocked` codes;
+    `terms` (9,): terms of the price; `legs` (n, 4): row0, col0, row1, col1 of each. Result (n,): energy [J]; NaN where
+    a leg may not be driven.
 
-    Returns
-    -------
-    ndarray of float64, (n,)
-        Energy [J]; NaN where a leg may not be driven.
-
-    Notes
-    -----
     On one thread: most questions are a few legs, and on a busy machine waiting for a second thread takes longer.
     """
     out = np.empty(legs.shape[0])
@@ -436,23 +335,9 @@ def leg_energies(traction, gradient, blocked, terms, legs):
 def polyline_energies(traction, gradient, blocked, terms, points):
     """Return the energies of the legs of a polyline, without turns.
 
-    Parameters
-    ----------
-    traction : ndarray of float32, (rows, cols, K)
-        As for `leg_energy`, like the next three.
-    gradient : ndarray of float32, (rows, cols, 2)
-        Rise per metre.
-    blocked : ndarray of uint8, (rows, cols)
-        `Blocked` codes.
-    terms : ndarray of float64, (9,)
-        Terms of the price, and of how a leg is driven.
-    points : ndarray of float64, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    ndarray of float64, (n - 1,)
-        Energy [J]; NaN where a leg may not be driven.
+    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked` (rows, cols): `Blocked` codes;
+    `terms` (9,): terms of the price, and of how a leg is driven; `points` (n, 2): (row, col) polyline. Result (n - 1,):
+    energy [J]; NaN where a leg may not be driven.
     """
     out = np.empty(max(points.shape[0] - 1, 0))
     memory = heading_memory(traction.shape[2])
@@ -466,19 +351,7 @@ def polyline_energies(traction, gradient, blocked, terms, points):
 def turn_angle(row0, col0, row1, col1, row2, col2):
     """Return the absolute change of heading between the legs 0-1 and 1-2.
 
-    Parameters
-    ----------
-    row0, col0 : float
-        Point 0.
-    row1, col1 : float
-        Point 1, where the turn is.
-    row2, col2 : float
-        Point 2.
-
-    Returns
-    -------
-    float
-        Angle [rad, 0..pi]; zero beside a leg of no length.
+    Result: angle [rad, 0..pi]; zero beside a leg of no length.
     """
     a, b = row1 - row0, col1 - col0
     c, d = row2 - row1, col2 - col1
@@ -491,25 +364,9 @@ def turn_angle(row0, col0, row1, col1, row2, col2):
 def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
     """Return the energy of a polyline with its turns.
 
-    Parameters
-    ----------
-    traction : ndarray of float32, (rows, cols, K)
-        As for `leg_energy`, like the next three.
-    gradient : ndarray of float32, (rows, cols, 2)
-        Rise per metre.
-    blocked : ndarray of uint8, (rows, cols)
-        `Blocked` codes.
-    terms : ndarray of float64, (9,)
-        Terms of the price.
-    turn_j_per_rad : float
-        Energy of turning on the spot [J/rad].
-    points : ndarray of float64, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    float
-        Energy [J]; NaN where a leg may not be driven.
+    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked` (rows, cols): `Blocked` codes;
+    `terms` (9,): terms of the price; `points` (n, 2): (row, col) polyline. Result: energy [J]; NaN where a leg may not
+    be driven.
     """
     energy = polyline_energies(traction, gradient, blocked, terms, points).sum()
     before, here = 0, 1

@@ -20,40 +20,13 @@ NEIGHBOURS = (8, 16, 32)
 
 
 def check_neighbours(neighbours: int) -> None:
-    """Check a number of moves per cell.
-
-    Parameters
-    ----------
-    neighbours : int
-        The number.
-
-    Raises
-    ------
-    InputError
-        If it is none of 8, 16 and 32.
-    """
+    """Check a number of moves per cell."""
     if neighbours not in NEIGHBOURS:
         raise InputError(f"neighbours must be 8, 16 or 32, got {neighbours}", neighbours=neighbours)
 
 
 def move_offsets(neighbours: int) -> NDArray[np.int64]:
-    """Return the shortest moves of different heading.
-
-    Parameters
-    ----------
-    neighbours : {8, 16, 32}
-        Number of moves N.
-
-    Returns
-    -------
-    ndarray of int64, (N, 2)
-        (drow, dcol), clockwise from north.
-
-    Raises
-    ------
-    InputError
-        If `neighbours` is another number.
-    """
+    """Return the shortest moves of different heading. Result (N, 2): (drow, dcol), clockwise from north."""
     check_neighbours(neighbours)
     reach = {8: 1, 16: 2, 32: 3}[neighbours]
     steps = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1) if math.gcd(r, c) == 1]
@@ -62,22 +35,7 @@ def move_offsets(neighbours: int) -> NDArray[np.int64]:
 
 
 class MovePrices:
-    """Prices the moves of windows of one lattice.
-
-    Parameters
-    ----------
-    bins : int
-        Heading bins of the lattice.
-    neighbours : {16, 8, 32}
-        Moves per cell N.
-
-    Attributes
-    ----------
-    offsets : ndarray of int64, (N, 2)
-        (drow, dcol) of each move, clockwise from north.
-    reach : int
-        Rows or columns that the longest move spans.
-    """
+    """Prices the moves of windows of one lattice. `offsets` (N, 2): (drow, dcol) of each move, clockwise from north."""
 
     def __init__(self, bins: int, neighbours: int = 16) -> None:
         self.offsets = move_offsets(neighbours)
@@ -91,47 +49,22 @@ class MovePrices:
         self._pieces = _stack_pieces(pieces)
 
     def lengths_m(self, spacing_m: float) -> NDArray[np.float64]:
-        """Return the length of each move.
-
-        Parameters
-        ----------
-        spacing_m : float
-            Side of a cell [m].
-
-        Returns
-        -------
-        ndarray of float64, (N,)
-            Horizontal lengths [m].
-        """
+        """Return the length of each move. Result (N,): horizontal lengths [m]."""
         return np.hypot(self.offsets[:, 0], self.offsets[:, 1]) * spacing_m
 
     def energies(self, part: CostLattice) -> NDArray[np.float32]:
         """Return the energy of each move of a window.
 
-        Parameters
-        ----------
-        part : CostLattice
-            The window.
-
-        Returns
-        -------
-        ndarray of float32, (N, rows, cols)
-            Energy of the move that leaves a cell [J]; NaN where it may not be driven, or leaves the window.
+        Result (N, rows, cols): energy of the move that leaves a cell [J]; NaN where it may not be driven, or leaves the
+        window.
         """
         return self._priced(part, part.traction_per_m, self._matrix, part.robot.hotel_per_m)
 
     def by_cell(self, lattice: CostLattice) -> NDArray[np.float32]:
         """Return the energies of the moves of a lattice, those of a cell side by side; rows are shared out to threads.
 
-        Parameters
-        ----------
-        lattice : CostLattice
-            Prices and limits.
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols, N)
-            Energy of the move that leaves a cell [J]; NaN where it may not be driven, or leaves the lattice.
+        Result (rows, cols, N): energy of the move that leaves a cell [J]; NaN where it may not be driven, or leaves the
+        lattice.
         """
         rows, cols = lattice.frame.shape
         out = np.empty((rows, cols, len(self.offsets)), np.float32)
@@ -147,15 +80,7 @@ class MovePrices:
     def lengths(self, part: CostLattice) -> NDArray[np.float32]:
         """Return the length of each move of a window; its traction is not read.
 
-        Parameters
-        ----------
-        part : CostLattice
-            The window.
-
-        Returns
-        -------
-        ndarray of float32, (N, rows, cols)
-            Length [m]; NaN where the move may not be driven, or leaves the window.
+        Result (N, rows, cols): length [m]; NaN where the move may not be driven, or leaves the window.
         """
         flat = np.zeros((*part.frame.shape, 1), dtype=np.float32)
         return self._priced(part, flat, np.ones((len(self.offsets), 1), dtype=np.float32), 1.0)
@@ -309,17 +234,8 @@ def _pieces(
 def leg_stencils(legs: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the cells that straight legs touch, and what each of them adds to the mean traction.
 
-    Parameters
-    ----------
-    legs : ndarray of float, (n, 4)
-        row, col of the start, and the step to the end [cells].
-
-    Returns
-    -------
-    cells : ndarray of int64, (n, S, 2)
-        (row, col) of each cell.
-    shares : ndarray of float64, (n, S)
-        Its share of the mean of the traction along the leg; -1 where a leg touches fewer cells.
+    `legs` (n, 4): row, col of the start, and the step to the end [cells]. Returns `cells` (n, S, 2): (row, col) of each
+    cell; `shares` (n, S): its share of the mean of the traction along the leg, -1 where a leg touches fewer cells.
     """
     return _stack_stencils([_pieces(*leg) for leg in legs.tolist()])
 

@@ -95,15 +95,7 @@ class MoveTable:
 def distance_table(table: MoveTable) -> MoveTable:
     """Return the same moves at 1 J per metre, without climbs and turns: its cheapest paths are the shortest.
 
-    Parameters
-    ----------
-    table : MoveTable
-        Priced moves.
-
-    Returns
-    -------
-    MoveTable
-        The table of distances, which needs no memory of its own.
+    Result: the table of distances, which needs no memory of its own.
     """
     flat, penalty = np.zeros(1), MARGIN_PENALTY * table.length_m if table.near.size else table.near_j
     return replace(
@@ -119,20 +111,9 @@ def distance_table(table: MoveTable) -> MoveTable:
 def with_margin(table: MoveTable, margin: float) -> MoveTable:
     """Return the same moves, of which those near closed ones cost more.
 
-    Parameters
-    ----------
-    table : MoveTable
-        Priced moves.
-    margin : float
-        How far beside a move the same move must be open [cells], see `integrator.margin_cells`.
+    `margin`: how far beside a move the same move must be open [cells], see `integrator.margin_cells`. The result shares
+    the energies; `table` itself where there is no margin or no closed move.
 
-    Returns
-    -------
-    MoveTable
-        It shares the energies; `table` itself where there is no margin or no closed move.
-
-    Notes
-    -----
     Between centres, the moves from the cells around are looked at, so that a little more than the margin is kept.
     """
     if margin == 0.0:
@@ -174,27 +155,6 @@ def _near_closed(energy, offsets, around):
 def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
     """Price all grid moves of a lattice.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    neighbours : {16, 8, 32}
-        Moves per cell N.
-
-    Returns
-    -------
-    MoveTable
-        The priced moves.
-
-    Raises
-    ------
-    InputError
-        If `neighbours` is another number.
-    NegativeCycleError
-        If driving in a circle would fill the battery.
-
-    Notes
-    -----
     O(rows * cols * N) time, two compiled passes.
     """
     prices = MovePrices(lattice.headings, neighbours)
@@ -218,28 +178,9 @@ def table_of(
 ) -> MoveTable:
     """Return the table of moves that are priced already.
 
-    Parameters
-    ----------
-    energy : ndarray of float32, (rows, cols, N)
-        Energy of the move that leaves a cell [J]; NaN where it may not be driven.
-    offsets : ndarray of int64, (N, 2)
-        (drow, dcol) of each move, clockwise from north.
-    lifted : ndarray of float64, (rows, cols)
-        Robot weight times elevation [J].
-    spacing_m : float
-        Side of a cell [m].
-    turn_j_per_rad : float, default 0.0
-        Energy of turning [J/rad].
-
-    Returns
-    -------
-    MoveTable
-        The moves, with the surface and the bounds that searches need.
-
-    Raises
-    ------
-    NegativeCycleError
-        If driving in a circle would fill the battery.
+    `energy` (rows, cols, N): energy of the move that leaves a cell [J], NaN where it may not be driven; `offsets` (N,
+    2): (drow, dcol) of each move, clockwise from north; `lifted` (rows, cols): robot weight times elevation [J].
+    Result: the moves, with the surface and the bounds that searches need.
     """
     headings = heading_of(offsets[:, 1], -offsets[:, 0])
     length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * spacing_m
@@ -255,25 +196,8 @@ def table_of(
 def repriced(table: MoveTable, lattice: CostLattice, window: tuple[int, int, int, int]) -> MoveTable:
     """Return the moves of a lattice that differs in one window only from the one that a table was made of.
 
-    Parameters
-    ----------
-    table : MoveTable
-        Moves of the lattice before; prices are written into its `energy`.
-    lattice : CostLattice
-        The lattice now.
-    window : tuple of int
-        (row0, row1, col0, col1) that holds every changed cell.
-
-    Returns
-    -------
-    MoveTable
-        The moves now. The surface stays and the bounds hold for both lattices; where the prices need another surface,
-        everything is priced again.
-
-    Raises
-    ------
-    NegativeCycleError
-        If driving in a circle would fill the battery now.
+    Result: the surface stays and the bounds hold for both lattices; where the prices need another surface, everything
+    is priced again.
     """
     row0, row1, col0, col1 = window
     rows, cols = lattice.frame.shape

@@ -12,33 +12,14 @@ from joulemap.planner.pricing.integrator import Points
 
 
 def path_length(points: Points) -> float:
-    """Return the length of a polyline.
-
-    Parameters
-    ----------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    float
-        Length [cells].
-    """
+    """Return the length of a polyline. `points` (n, 2): (row, col) polyline. Result: length [cells]."""
     return _length(np.ascontiguousarray(points, dtype=np.float64))
 
 
 def distances_along(points: Points) -> NDArray[np.float64]:
     """Return how far along a polyline its vertices are.
 
-    Parameters
-    ----------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Distance from its beginning [cells].
+    `points` (n, 2): (row, col) polyline. Result (n,): distance from its beginning [cells].
     """
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
 
@@ -46,15 +27,7 @@ def distances_along(points: Points) -> NDArray[np.float64]:
 def distinct(points: Points) -> Points:
     """Return a polyline without vertices that repeat their predecessor; both ends stay.
 
-    Parameters
-    ----------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    ndarray of float, (m, 2)
-        (row, col) polyline.
+    `points` (n, 2): (row, col) polyline. Result (m, 2): (row, col) polyline.
     """
     keep = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9)
     if not keep[-1]:
@@ -66,15 +39,7 @@ def distinct(points: Points) -> Points:
 def corners(points: Points) -> Points:
     """Return the same polyline without the vertices at which it does not turn; both ends stay.
 
-    Parameters
-    ----------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline, each vertex distinct from the one before.
-
-    Returns
-    -------
-    ndarray of float, (m, 2)
-        (row, col) polyline.
+    `points` (n, 2): (row, col) polyline, each vertex distinct from the one before. Result (m, 2): (row, col) polyline.
     """
     legs = np.diff(points, axis=0)
     (row, col), (next_row, next_col) = legs[:-1].T, legs[1:].T
@@ -86,17 +51,7 @@ def corners(points: Points) -> Points:
 def subdivided(points: Points, leg_cells: float) -> Points:
     """Return the same polyline with no leg longer than a limit.
 
-    Parameters
-    ----------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-    leg_cells : float
-        Longest leg [cells].
-
-    Returns
-    -------
-    ndarray of float, (m, 2)
-        (row, col) polyline.
+    `points` (n, 2): (row, col) polyline. Result (m, 2): (row, col) polyline.
     """
     return _cut(np.ascontiguousarray(points, dtype=np.float64), leg_cells)
 

@@ -38,30 +38,12 @@ def even_surface(
 ) -> NDArray[np.float64]:
     """Return a smoothed surface, so that every move costs as much as possible beyond its rise.
 
-    Parameters
-    ----------
-    energy : ndarray of float32, (rows, cols, N)
-        Energy of every move [J]; NaN where there is none.
-    offsets : ndarray of int64, (N, 2)
-        (drow, dcol) of the moves, clockwise over the whole circle.
-    length_m : ndarray of float64, (N,)
-        Their lengths [m].
-    surface : ndarray of float64, (rows, cols)
-        The surface to begin with [J].
+    `energy` (rows, cols, N): energy of every move [J], NaN where there is none; `offsets` (N, 2): (drow, dcol) of the
+    moves, clockwise over the whole circle; `length_m` (N,): their lengths [m]; `surface` (rows, cols): the surface to
+    begin with [J]. Result (rows, cols): the surface [J]. Where some prices are negative, no move costs less than its
+    rise on it.
 
-    Returns
-    -------
-    ndarray of float64, (rows, cols)
-        The surface [J]. Where some prices are negative, no move costs less than its rise on it.
-
-    Raises
-    ------
-    NegativeCycleError
-        If no surface can do that; the context has a place on the loop.
-
-    References
-    ----------
-    Johnson 1977; Cherkassky & Goldberg 1999 (negative cycles).
+    Reference: Johnson 1977; Cherkassky & Goldberg 1999 (negative cycles).
     """
     surface = _levelled(energy, offsets, surface)
     least = spare_per_m(energy, offsets, length_m, surface)
@@ -96,18 +78,7 @@ def even_surface(
 
 
 def parts_of(rows: int, cols: int) -> list[slice]:
-    """Return rows in parts that are worth a thread each.
-
-    Parameters
-    ----------
-    rows, cols : int
-        Size of the map.
-
-    Returns
-    -------
-    list of slice
-        The rows, in order.
-    """
+    """Return rows in parts that are worth a thread each."""
     return pieces(rows, max(CELLS_A_PART // max(cols, 1), 1))
 
 
@@ -181,21 +152,9 @@ def spare_per_m(
 ) -> NDArray[np.float64]:
     """Return the least energy per metre beyond the rise, over the moves of each cell.
 
-    Parameters
-    ----------
-    energy : ndarray of float32, (rows, cols, N)
-        Energy of every move [J]; NaN where there is none.
-    offsets : ndarray of int64, (N, 2)
-        (drow, dcol) of the moves.
-    length_m : ndarray of float64, (N,)
-        Their lengths [m].
-    surface : ndarray of float64, (rows, cols)
-        What a rise is counted on [J].
-
-    Returns
-    -------
-    ndarray of float64, (rows, cols)
-        Least (energy - rise) / length [J/m]; infinite where a cell has no move.
+    `energy` (rows, cols, N): energy of every move [J], NaN where there is none; `offsets` (N, 2): (drow, dcol) of the
+    moves; `length_m` (N,): their lengths [m]; `surface` (rows, cols): what a rise is counted on [J]. Result (rows,
+    cols): least (energy - rise) / length [J/m]; infinite where a cell has no move.
     """
     least = np.full(surface.shape, np.inf)
     share_out(
@@ -229,23 +188,10 @@ def spare_bounds(
 ) -> NDArray[np.float64]:
     """Return the least energy per metre beyond shares of the rise, over all moves of the map.
 
-    Parameters
-    ----------
-    energy : ndarray of float32, (rows, cols, N)
-        Energy of every move [J]; NaN where there is none.
-    offsets : ndarray of int64, (N, 2)
-        (drow, dcol) of the moves.
-    length_m : ndarray of float64, (N,)
-        Their lengths [m].
-    surface : ndarray of float64, (rows, cols)
-        What a rise is counted on [J].
-    shares : ndarray of float64, (B,)
-        Shares of the rise.
-
-    Returns
-    -------
-    ndarray of float64, (B,)
-        Least (energy - share * rise) / length [J/m], 0 where that is rounding; infinite where there is no move.
+    `energy` (rows, cols, N): energy of every move [J], NaN where there is none; `offsets` (N, 2): (drow, dcol) of the
+    moves; `length_m` (N,): their lengths [m]; `surface` (rows, cols): what a rise is counted on [J]; `shares` (B,).
+    Result (B,): least (energy - share * rise) / length [J/m], 0 where that is rounding; infinite where there is no
+    move.
     """
     bounds = np.array([spare_per_m(energy, offsets, length_m, share * surface).min() for share in shares])
     return np.where(np.abs(bounds) * length_m.min() < 2.0 * ROUNDING_J, 0.0, bounds)

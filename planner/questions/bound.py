@@ -75,15 +75,8 @@ class BoundTable:
 def bound_table(lattice: CostLattice) -> BoundTable | None:
     """Return the prices that bounds of all questions to a lattice are made of.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-
-    Returns
-    -------
-    BoundTable or None
-        The prices; None where they are so low on descents that a circle would fill the battery, so no bound follows.
+    Result: the prices; None where they are so low on descents that a circle would fill the battery, so no bound
+    follows.
     """
     bins = lattice.headings
     samples = interpolation_matrix(heading_bins(SAMPLES), bins)
@@ -151,17 +144,7 @@ def _least_energies(
 def quick_bound(lattice: CostLattice, start: Points, goal: Points) -> float:
     """Return a lower bound that takes no time: the idle power over the straight distance.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    start, goal : ndarray of float, (2,)
-        Fractional (row, col).
-
-    Returns
-    -------
-    float
-        Energy [J]; minus infinity where descents may return energy.
+    `start`, `goal` (2,): fractional (row, col). Result: energy [J]; minus infinity where descents may return energy.
     """
     robot = lattice.robot
     if robot.regeneration > 0.0:
@@ -172,19 +155,7 @@ def quick_bound(lattice: CostLattice, start: Points, goal: Points) -> float:
 def energy_bound(lattice: CostLattice, table: BoundTable, start: Points, goal: Points) -> float:
     """Return a lower bound of the energy of every route between two places, whatever its angles; turns count nothing.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    table : BoundTable
-        Made of it.
-    start, goal : ndarray of float, (2,)
-        Fractional (row, col).
-
-    Returns
-    -------
-    float
-        Energy [J]; minus infinity where nothing is known.
+    `start`, `goal` (2,): fractional (row, col). Result: energy [J]; minus infinity where nothing is known.
     """
     ends, before = [], 0.0
     for point, outward in ((start, False), (goal, True)):

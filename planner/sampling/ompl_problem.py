@@ -27,18 +27,8 @@ _DIP = (math.pi / _HEADINGS_PER_BIN) ** 2 / 8.0
 def price_floor_per_m(lattice: CostLattice) -> float:
     """Return a proven lower bound of the price per metre, over all places and all continuous headings.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices.
+    Result: the bound [J/m].
 
-    Returns
-    -------
-    float
-        The bound [J/m].
-
-    Notes
-    -----
     Traction is bilinear between cells, so its least value is at a cell. In heading it is a trigonometric polynomial of
     order at most K / 2. Between samples with a step of 2 pi / (8 K) it falls at most `_DIP` = (pi / 8)^2 / 8 = 1.93 %
     of its largest magnitude below them (Bernstein's inequality for the second derivative).
@@ -154,25 +144,9 @@ def ompl_problem(
 ) -> tuple[Any, Any, Callable[[], int]]:
     """Return the problem of a cheapest path for a planner of OMPL.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    start, goal : ndarray of float, (2,)
-        Fractional (row, col).
-    places : ndarray of bool, (k rows, k cols)
-        The k-th parts of cells to sample in.
-    objective : {"tree", "ellipse", "corridor"}
-        Whose heuristics suit: those of a tree planner, of BIT* inside its ellipse, or none, in a narrow corridor.
-
-    Returns
-    -------
-    information : ompl.base.SpaceInformation
-        The space of (row, col), and what may be driven.
-    problem : ompl.base.ProblemDefinition
-        Start, goal and objective.
-    legs_priced : callable
-        Returns how many legs were priced so far.
+    `start`, `goal` (2,): fractional (row, col); `places` (k rows, k cols): the k-th parts of cells to sample in.
+    Returns `information`: the space of (row, col), and what may be driven; `problem`: start, goal and objective;
+    `legs_priced`: returns how many legs were priced so far.
     """
     cuts = places.shape[0] // lattice.frame.rows
     space = ob.RealVectorStateSpace(2)

@@ -49,23 +49,9 @@ _ALGORITHMS = {"rrtstar": og.RRTstar, "informed_rrtstar": og.InformedRRTstar, "b
 def informed_subset(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> NDArray[np.bool_]:
     """Return the cells through which the grid's best path costs at most `SUBSET_MARGIN` more than its best path of all.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    table : MoveTable
-        Priced moves of the lattice.
-    start, goal : ndarray of float, (2,)
-        Fractional (row, col).
+    `start`, `goal` (2,): fractional (row, col). The result is (rows, cols).
 
-    Returns
-    -------
-    ndarray of bool, (rows, cols)
-        Where a better path may lie.
-
-    References
-    ----------
-    Gammell et al. 2014, where the informed subset is an ellipse of lengths; here it is one of energies.
+    Reference: Gammell et al. 2014, where the informed subset is an ellipse of lengths; here it is one of energies.
     """
     via = field_from(lattice, table, start).energy_j + field_towards(lattice, table, goal[None]).energy_j
     least = via.min()
@@ -75,19 +61,8 @@ def informed_subset(lattice: CostLattice, table: MoveTable, start: Points, goal:
 def corridor(lattice: CostLattice, points: Points, half_width: float) -> NDArray[np.bool_]:
     """Return the quarter cells near a polyline.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Whose cells these are.
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-    half_width : float
-        Half the width of the corridor [cells].
-
-    Returns
-    -------
-    ndarray of bool, (4 rows, 4 cols)
-        Whether each quarter cell lies in the corridor.
+    `points` (n, 2): (row, col) polyline; `half_width`: half the width of the corridor [cells]. The result is (4 rows, 4
+    cols).
     """
     reach = round(half_width * _CORRIDOR_CUTS)
     along = np.arange(-reach, reach + 1)
@@ -110,30 +85,8 @@ def sample_along(
 ) -> tuple[Points, dict[str, Any]]:
     """Return what BIT* finds in a corridor around a path, then in ever narrower ones around what it found.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    path : ndarray of float, (n, 2)
-        (row, col) polyline to begin with.
-    time_limit_s : float, default 5.0
-        How long to search in all corridors together [s].
-    seed : int, default 0
-        Seed of the samples.
-    progress : callable, optional
-        Called with the share that is done, 0..1.
-
-    Returns
-    -------
-    points : ndarray of float, (m, 2)
-        The best (row, col) polyline.
-    details : dict
-        A record as that of `sample_route`.
-
-    Raises
-    ------
-    NoRouteError
-        If it found no path at all.
+    `path` (n, 2): (row, col) polyline to begin with. Returns `points` (m, 2): the best (row, col) polyline; `details`:
+    a record as that of `sample_route`. Raises NoRouteError if it found no path at all.
     """
     share = time_limit_s / len(CORRIDORS_CELLS)
     centre, best, least = path, None, math.inf
@@ -179,37 +132,10 @@ def sample_route(
 ) -> tuple[Points, dict[str, Any]]:
     """Return the path that a sampling planner finds within its time.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    start, goal : ndarray of float, (2,)
-        Fractional (row, col).
-    planner : {"rrtstar", "informed_rrtstar", "bitstar"}
-        OMPL's algorithm.
-    time_limit_s : float, default 5.0
-        How long to search [s], at most 120.
-    seed : int, default 0
-        Seed of the samples.
-    places : ndarray of bool, (k rows, k cols), optional
-        The only k-th parts of cells to sample in, see `informed_subset` and `corridor`.
-    progress : callable, optional
-        Called with the share of the time that is over, 0..1.
-
-    Returns
-    -------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline from start to goal.
-    details : dict
-        JSON-able record: `sampling_seconds`, `legs_priced`, `seed`, `sampled_energy_j` [J], and `history`, the
-        (seconds, energy [J]) of each best path.
-
-    Raises
-    ------
-    InputError
-        If a setting is unknown or out of range.
-    NoRouteError
-        If no path was found in time, which does not prove that there is none.
+    `start`, `goal` (2,): fractional (row, col); `places` (k rows, k cols). Returns `points` (n, 2): (row, col) polyline
+    from start to goal; `details`: JSON-able record: `sampling_seconds`, `legs_priced`, `seed`, `sampled_energy_j` [J],
+    and `history`, the (seconds, energy [J]) of each best path. Raises NoRouteError if no path was found in time, which
+    does not prove that there is none.
     """
     if planner not in _ALGORITHMS:
         raise InputError(f"planner must be one of {', '.join(_ALGORITHMS)}, got {planner!r}", planner=planner)

@@ -18,19 +18,9 @@ _LIFTED = 0.5  # share of the energy of a stretch that lifts the robot, from whi
 def verdict_in_words(verdict: Verdict, course: Course) -> str:
     """Return a verdict as a sentence.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        On a course.
-    course : Course
-        What is driven.
-
-    Returns
-    -------
-    str
-        Such as "Likely: 78 % to return with the reserve; expected 6.58 Wh (90 % between 5.28 and 7.89 Wh) of 8.61 Wh
-        above the reserve; the climb that begins 210 m along the way out and ends at 260 m takes 51 % of the energy;
-        a charge of 71 % makes it a yes."
+    Result: such as "Likely: 78 % to return with the reserve; expected 6.58 Wh (90 % between 5.28 and 7.89 Wh) of 8.61
+    Wh above the reserve; the climb that begins 210 m along the way out and ends at 260 m takes 51 % of the energy; a
+    charge of 71 % makes it a yes.".
     """
     parts = [_odds(verdict, course), _energy(verdict)]
     if verdict.overload_at is not None:

@@ -21,25 +21,7 @@ _SHOWN = 200  # characters of what somebody else wrote
 
 
 def answer_of(model: type[Answer], answer: httpx.Response) -> Answer:
-    """Return an answer as a model.
-
-    Parameters
-    ----------
-    model : type
-        What was asked for.
-    answer : Response
-        Of a request that succeeded.
-
-    Returns
-    -------
-    BaseModel
-        Checked.
-
-    Raises
-    ------
-    InputError
-        If it is not what a joulemap service answers.
-    """
+    """Return an answer as a model."""
     try:
         return model.model_validate(json.loads(answer.content))
     except ValidationError as error:
@@ -51,18 +33,7 @@ def answer_of(model: type[Answer], answer: httpx.Response) -> Answer:
 
 
 def refuse_failed(answer: httpx.Response) -> None:
-    """Refuse an answer that says why there is none, and one that a service never sends.
-
-    Parameters
-    ----------
-    answer : Response
-        Whole.
-
-    Raises
-    ------
-    JoulemapError
-        As the service says it, or by the status where somebody else answered.
-    """
+    """Refuse an answer that says why there is none, and one that a service never sends."""
     if answer.has_redirect_location:
         to = answer.headers["location"][:_SHOWN]
         raise InputError(
@@ -82,20 +53,7 @@ def refuse_failed(answer: httpx.Response) -> None:
 
 
 def stranger(answer: httpx.Response, what: str) -> InputError:
-    """Return the error of an answer that is not a service's.
-
-    Parameters
-    ----------
-    answer : Response
-        The answer.
-    what : str
-        What it is instead.
-
-    Returns
-    -------
-    InputError
-        To be raised.
-    """
+    """Return the error of an answer that is not a service's."""
     return InputError(
         f"{_place(answer)} sent something that is no answer of a joulemap service ({what}): check its address, and "
         "whether a proxy in front of it wants a login",
@@ -131,18 +89,7 @@ def _mapping(value: Any) -> dict[str, Any]:
 
 
 def document_of(content: bytes) -> dict[str, Any]:
-    """Return what an answer says.
-
-    Parameters
-    ----------
-    content : bytes
-        Its body.
-
-    Returns
-    -------
-    dict
-        Empty where it is no JSON object.
-    """
+    """Return what an answer says."""
     try:
         found = json.loads(content)
     except (ValueError, RecursionError):
@@ -151,20 +98,7 @@ def document_of(content: bytes) -> dict[str, Any]:
 
 
 def error_of(problem: Mapping[str, Any], status: int | None = None) -> JoulemapError:
-    """Return the error of the tree that the service raised.
-
-    Parameters
-    ----------
-    problem : mapping
-        A problem body, as of RFC 9457.
-    status : int, optional
-        Of the answer; by default as the body says.
-
-    Returns
-    -------
-    JoulemapError
-        With the words of the service. Where its code is in no tree, it is that of the status.
-    """
+    """Return the error of the tree that the service raised."""
     code, detail = problem.get("code"), problem.get("detail")
     context = _mapping(problem.get("context")) | {"request_id": problem.get("request_id")}
     context.pop("message", None)  # which every error has already
@@ -185,18 +119,7 @@ def _error_of_status(status: int) -> type[JoulemapError]:
 
 
 def tree_of(cls: type[JoulemapError]) -> Iterator[type[JoulemapError]]:
-    """Yield all errors below one.
-
-    Parameters
-    ----------
-    cls : type
-        Of the error tree.
-
-    Yields
-    ------
-    type
-        Those that are derived from it.
-    """
+    """Yield all errors below one."""
     for child in cls.__subclasses__():
         yield child
         yield from tree_of(child)

@@ -16,24 +16,7 @@ _EVENTS = "text/event-stream"
 
 
 class Connection:
-    """Connections to a service, which are kept open.
-
-    Parameters
-    ----------
-    url : str
-        Of the service.
-    key : str or None
-        Where the service wants one.
-    timeout_s : float
-        Longest time for one answer [s].
-    transport : httpx.BaseTransport or None
-        How requests are sent; None for the network.
-
-    Raises
-    ------
-    InputError
-        If no request can be sent so.
-    """
+    """Connections to a service, which are kept open. `transport`: how requests are sent, None for the network."""
 
     def __init__(self, url: str, *, key: str | None, timeout_s: float, transport: httpx.BaseTransport | None) -> None:
         headers = {"Authorization": f"Bearer {key}"} if key else {}
@@ -48,51 +31,11 @@ class Connection:
         self._http.close()
 
     def ask(self, model: type[Answer], method: str, path: str, **how: Any) -> Answer:
-        """Send a request, and return its answer as a model.
-
-        Parameters
-        ----------
-        model : type
-            Of the answer.
-        method, path : str
-            Of the request.
-        **how
-            As `httpx.request` takes it.
-
-        Returns
-        -------
-        BaseModel
-            Checked.
-
-        Raises
-        ------
-        JoulemapError
-            As the service says why there is no answer.
-        InputError
-            If it is not what a joulemap service answers.
-        """
+        """Send a request, and return its answer as a model."""
         return answer_of(model, self.send(method, path, **how))
 
     def send(self, method: str, path: str, **how: Any) -> httpx.Response:
-        """Send a request.
-
-        Parameters
-        ----------
-        method, path : str
-            Of the request.
-        **how
-            As `httpx.request` takes it.
-
-        Returns
-        -------
-        Response
-            Of a request that succeeded.
-
-        Raises
-        ------
-        JoulemapError
-            As the service says why there is no answer.
-        """
+        """Send a request."""
         try:
             answer = self._http.request(method, path, **how)
         except (httpx.RequestError, httpx.InvalidURL) as error:
@@ -109,22 +52,7 @@ class Connection:
     def events(self, path: str, body: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         """Ask a question and follow it, as server-sent events.
 
-        Parameters
-        ----------
-        path : str
-            Of the question, which is posted.
-        body : mapping
-            The question.
-
-        Yields
-        ------
-        tuple
-            Name and document of each event: ``progress``, and at the end ``answer``.
-
-        Raises
-        ------
-        JoulemapError
-            As the service says why there is no answer.
+        Yields: name and document of each event: ``progress``, and at the end ``answer``.
         """
         try:
             with self._http.stream("POST", path, json=dict(body), headers={"Accept": _EVENTS}) as answer:
@@ -148,23 +76,7 @@ class Connection:
 
 
 def part_of_path(text: str) -> str:
-    """Return an id as one part of a path.
-
-    Parameters
-    ----------
-    text : str
-        The id.
-
-    Returns
-    -------
-    str
-        The same.
-
-    Raises
-    ------
-    InputError
-        If it cannot be an id.
-    """
+    """Return an id as one part of a path."""
     if not re.fullmatch(r"[A-Za-z0-9._-]{1,100}", text) or set(text) == {"."}:
         raise InputError(f"{text[:100]!r} is no id", id=text[:100])
     return text

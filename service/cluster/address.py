@@ -14,20 +14,7 @@ _HOST = re.compile(r"[A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.%]+\]")
 def scheduler_address(text: str) -> str:
     """Return the address of a scheduler with its protocol.
 
-    Parameters
-    ----------
-    text : str
-        Like ``tcp://HOST:8786``, ``tls://HOST:8786`` or ``HOST:8786``.
-
-    Returns
-    -------
-    str
-        ``tcp://HOST:8786`` of the last one, else the same.
-
-    Raises
-    ------
-    ValueError
-        If it is no such address; the message says what to write instead.
+    Result: ``tcp://HOST:8786`` of the last one, else the same.
     """
     scheme, mark, rest = text.strip().rpartition("://")
     scheme = scheme.lower() or "tcp"

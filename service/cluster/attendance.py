@@ -19,14 +19,7 @@ ABSENT_S = 20.0
 class Attendance:
     """Looks whether workers are there; a short absence is no trouble.
 
-    Parameters
-    ----------
-    client : Client
-        Of the cluster, in the loop that runs.
-    scheduler : str or None
-        Its address; None where the workers are the service's own.
-    clock : callable, optional
-        Returns a time that only grows [s].
+    `scheduler`: its address, None where the workers are the service's own; `clock`: returns a time that only grows [s].
     """
 
     def __init__(self, client: Client, scheduler: str | None, *, clock: Callable[[], float] = time.monotonic) -> None:
@@ -36,10 +29,7 @@ class Attendance:
     async def trouble(self) -> str | None:
         """Ask the scheduler.
 
-        Returns
-        -------
-        str or None
-            What is wrong, in words; None where workers are there, or were within `ABSENT_S`.
+        Result: what is wrong, in words; None where workers are there, or were within `ABSENT_S`.
         """
         whose = "the service's own scheduler" if self._scheduler is None else f"the scheduler at {self._scheduler}"
         try:

@@ -50,18 +50,7 @@ def _kill(cluster: LocalCluster) -> None:
 
 
 def check_certificates(scheduler: str) -> None:
-    """Refuse an address with TLS where Dask's configuration names no certificates.
-
-    Parameters
-    ----------
-    scheduler : str
-        As `scheduler_address` returns it.
-
-    Raises
-    ------
-    InputError
-        If it is so.
-    """
+    """Refuse an address with TLS where Dask's configuration names no certificates."""
     if scheduler.startswith(("tls:", "wss:")) and not Security().get_connection_args("client").get("ssl_context"):
         raise InputError(
             f"{scheduler} wants certificates: name them with DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
@@ -74,24 +63,7 @@ def check_certificates(scheduler: str) -> None:
 async def connected(scheduler: str | None, *, workers: int) -> AsyncIterator[Client]:
     """Connect to a cluster in the loop that runs.
 
-    Parameters
-    ----------
-    scheduler : str or None
-        Its address; None for a cluster of this process's own, which ends with it.
-    workers : int
-        Processes of the own cluster, of one thread each.
-
-    Yields
-    ------
-    Client
-        For this loop.
-
-    Raises
-    ------
-    OSError
-        If no scheduler answers.
-    InputError
-        If it wants TLS, and there are no certificates.
+    `scheduler`: its address, None for a cluster of this process's own, which ends with it.
     """
     for name in ("", ".scheduler", ".nanny", ".core", ".client"):
         logging.getLogger(f"distributed{name}").setLevel(logging.WARNING)

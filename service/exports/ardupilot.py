@@ -12,24 +12,9 @@ _ABSOLUTE_HEIGHT, _RELATIVE_HEIGHT = 0, 3  # MAV_FRAME_GLOBAL and MAV_FRAME_GLOB
 def write(track: Track) -> bytes:
     """Return what is driven as a waypoint file.
 
-    Parameters
-    ----------
-    track : Track
-        Of a path, a tour or a drive.
+    Result: text: home, the speed, then a waypoint for each corner that the energy needs, at height 0 above home.
 
-    Returns
-    -------
-    bytes
-        Text: home, the speed, then a waypoint for each corner that the energy needs, at height 0 above home.
-
-    Raises
-    ------
-    InputError
-        If the map has no known place on Earth.
-
-    References
-    ----------
-    MAVLink Developer Guide, Mission Plain-Text File Format.
+    Reference: MAVLink Developer Guide, Mission Plain-Text File Format.
     """
     mission = mission_of(track)
     rows = [

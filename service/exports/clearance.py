@@ -31,24 +31,8 @@ Quantise = Callable[[Points], Points]
 def cleared(lattice: CostLattice, points: Points, *, furthest_m: float, quantise: Quantise | None = None) -> Points:
     """Return a path whose legs may all be driven, with corners moved as little as that needs.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        What is blocked.
-    points : ndarray of float, (n, 2)
-        Fractional (row, col).
-    furthest_m : float
-        Most by which a corner is moved [m].
-    quantise : callable, optional
-        What writing and reading again does to (n, 2) points; nothing by default.
+    `points` (n, 2): fractional (row, col). Result (n, 2): where no such path was found, only that was done.
 
-    Returns
-    -------
-    ndarray of float, (n, 2)
-        After `quantise`. Where no such path was found, only that was done.
-
-    Notes
-    -----
     The shortest path through the candidates of successive corners (dynamic programming): 8 directions at three
     distances, and the lines through cell centres nearby, on which a passage of one cell is driven.
     """
@@ -72,24 +56,8 @@ def cleared(lattice: CostLattice, points: Points, *, furthest_m: float, quantise
 def price_given_path(lattice: CostLattice, xy: Points) -> Route:
     """Return the route along given world points, which a file may have rounded onto blocked ground.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    xy : ndarray of float, (n, 2 or more)
-        World x, y [m].
-
-    Returns
-    -------
-    Route
-        With a note where corners were moved, by at most `READ_FURTHEST_M`.
-
-    Raises
-    ------
-    PointError
-        If a point is not finite or lies outside the map.
-    BlockedError
-        If a leg may not be driven.
+    `xy` (n, 2 or more): world x, y [m]. Result: with a note where corners were moved, by at most `READ_FURTHEST_M`.
+    Raises BlockedError if a leg may not be driven.
     """
     try:
         return price_route(lattice, xy)

@@ -25,18 +25,9 @@ _Band = tuple[NDArray[np.float32], str, str, dict[str, str]]
 def write(lattice: CostLattice) -> dict[str, bytes]:
     """Return a cost map as a GeoTIFF.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-
-    Returns
-    -------
-    dict
-        ".tif" -> the file. With K headings, float32 bands 1 to K are the energy per metre [J/m], NaN (nodata) where the
-        heading is blocked; K + 1 to 2 K why it is blocked, a `Blocked` code; 2 K + 1 to 3 K, where the model knows it,
-        the standard deviation of the energy of a metre [J]. Each has a description, a unit and the tags KIND and
-        HEADING_DEG.
+    Result: with K headings, float32 bands 1 to K are the energy per metre [J/m], NaN (nodata) where the heading is
+    blocked; K + 1 to 2 K why it is blocked, a `Blocked` code; 2 K + 1 to 3 K, where the model knows it, the standard
+    deviation of the energy of a metre [J]. Each has a description, a unit and the tags KIND and HEADING_DEG.
     """
     return {".tif": _file(lattice, cloud_optimised=False)}
 
@@ -44,15 +35,7 @@ def write(lattice: CostLattice) -> dict[str, bytes]:
 def write_cloud_optimised(lattice: CostLattice) -> dict[str, bytes]:
     """Return the same as a cloud-optimised GeoTIFF: tiled, with overviews, to be read in parts over HTTP.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-
-    Returns
-    -------
-    dict
-        ".tif" -> the file, bands as in `write`.
+    Result: ".tif" -> the file, bands as in `write`.
     """
     return {".tif": _file(lattice, cloud_optimised=True)}
 

@@ -29,16 +29,8 @@ COLUMNS = (
 def write(track: Track) -> bytes:
     """Return what is driven as a CSV file.
 
-    Parameters
-    ----------
-    track : Track
-        Of a path, a tour or a drive.
-
-    Returns
-    -------
-    bytes
-        UTF-8; a row for the start of every leg and for the end of each piece of a metre, corners among them. Unknown
-        values are empty: heights, degrees of a map without CRS, energies of a drive that was not priced.
+    Result: UTF-8; a row for the start of every leg and for the end of each piece of a metre, corners among them.
+    Unknown values are empty: heights, degrees of a map without CRS, energies of a drive that was not priced.
     """
     out = io.StringIO(newline="")
     table = csv.writer(out, lineterminator="\n")

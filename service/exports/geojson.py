@@ -18,27 +18,11 @@ COORDINATES = (WGS84, MAP)
 def geojson_document(track: Track, *, coordinates: str = WGS84) -> dict[str, Any]:
     """Return a track as a GeoJSON document.
 
-    Parameters
-    ----------
-    track : Track
-        Its lines become features.
-    coordinates : str, optional
-        "wgs84" (longitude, latitude [degrees]) or "map" (x, y [m] in the map's CRS, named in the member `crs`).
+    `coordinates`: "wgs84" (longitude, latitude [degrees]) or "map" (x, y [m] in the map's CRS, named in the member
+    `crs`). Heights [m] are those of the map; lines with unknown heights have none. A line over the antimeridian is cut
+    there.
 
-    Returns
-    -------
-    dict
-        A FeatureCollection. Heights [m] are those of the map; lines with unknown heights have none. A line over the
-        antimeridian is cut there. `map_crs` names the CRS of the map.
-
-    Raises
-    ------
-    InputError
-        If the map has no known place on Earth, and degrees are wanted.
-
-    References
-    ----------
-    RFC 7946; `crs` is that of its predecessor, GeoJSON 2008.
+    Reference: RFC 7946; `crs` is that of its predecessor, GeoJSON 2008.
     """
     document: dict[str, Any] = {"type": "FeatureCollection", **track.extra}
     if coordinates == MAP:
@@ -55,20 +39,7 @@ def geojson_document(track: Track, *, coordinates: str = WGS84) -> dict[str, Any
 
 
 def write(track: Track, *, coordinates: str = WGS84) -> bytes:
-    """Return a track as a GeoJSON file.
-
-    Parameters
-    ----------
-    track : Track
-        Its lines become features.
-    coordinates : str, optional
-        As for `geojson_document`.
-
-    Returns
-    -------
-    bytes
-        UTF-8.
-    """
+    """Return a track as a GeoJSON file."""
     return (json.dumps(geojson_document(track, coordinates=coordinates), allow_nan=False) + "\n").encode()
 
 

@@ -17,24 +17,7 @@ NAMESPACE = "http://www.topografix.com/GPX/1/1"
 def write(track: Track) -> bytes:
     """Return a track as a GPX file.
 
-    Parameters
-    ----------
-    track : Track
-        Each of its lines is a track; the first is driven.
-
-    Returns
-    -------
-    bytes
-        UTF-8.
-
-    Raises
-    ------
-    InputError
-        If the map has no known place on Earth.
-
-    References
-    ----------
-    GPX 1.1 Schema, TopoGrafix 2004.
+    Reference: GPX 1.1 Schema, TopoGrafix 2004.
     """
     root = xml.Element("gpx", {"version": "1.1", "creator": "joulemap", "xmlns": NAMESPACE})
     xml.SubElement(xml.SubElement(root, "metadata"), "name").text = track.name
@@ -54,15 +37,7 @@ def write(track: Track) -> bytes:
 def described(properties: dict[str, object]) -> str:
     """Return properties as one line of text.
 
-    Parameters
-    ----------
-    properties : dict
-        Of a line.
-
-    Returns
-    -------
-    str
-        Names and values, such as "energy 14.11 kJ (3.92 Wh); length 97.1 m".
+    Result: names and values, such as "energy 14.11 kJ (3.92 Wh); length 97.1 m".
     """
     return "; ".join(_words(key, value) for key, value in properties.items() if key != "kind")
 

@@ -14,24 +14,7 @@ NAMESPACE = "http://www.opengis.net/kml/2.2"
 def write(track: Track) -> bytes:
     """Return a track as a KML file.
 
-    Parameters
-    ----------
-    track : Track
-        Each of its lines is a placemark; the first is driven.
-
-    Returns
-    -------
-    bytes
-        UTF-8.
-
-    Raises
-    ------
-    InputError
-        If the map has no known place on Earth.
-
-    References
-    ----------
-    OGC 07-147r2, KML 2.2.
+    Reference: OGC 07-147r2, KML 2.2.
     """
     root = xml.Element("kml", {"xmlns": NAMESPACE})
     document = xml.SubElement(root, "Document")

@@ -56,25 +56,7 @@ MAP_FORMATS: dict[str, MapFormat] = {
 
 
 def map_format_of(file: str | Path, name: str | None = None) -> MapFormat:
-    """Return the format of a file that is to be written.
-
-    Parameters
-    ----------
-    file : str or Path
-        Its suffix decides.
-    name : str, optional
-        Unless this does.
-
-    Returns
-    -------
-    MapFormat
-        The format.
-
-    Raises
-    ------
-    InputError
-        If neither says it.
-    """
+    """Return the format of a file that is to be written."""
     if name is not None:
         if name in MAP_FORMATS:
             return MAP_FORMATS[name]
@@ -95,17 +77,7 @@ def map_format_of(file: str | Path, name: str | None = None) -> MapFormat:
 def map_files(lattice: CostLattice, chosen: MapFormat) -> dict[str, bytes]:
     """Return a cost map in a format.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        All of it.
-    chosen : MapFormat
-        The format.
-
-    Returns
-    -------
-    dict
-        Suffix -> content of each file. "{stem}" in a text stands for their common name.
+    Result: suffix -> content of each file. "{stem}" in a text stands for their common name.
     """
     module, function = chosen.home.split(":")
     found: dict[str, bytes] = getattr(import_module(f"{__package__}.{module}"), function)(lattice)
@@ -113,27 +85,7 @@ def map_files(lattice: CostLattice, chosen: MapFormat) -> dict[str, bytes]:
 
 
 def save_map(lattice: CostLattice, file: str | Path, name: str | None = None) -> list[Path]:
-    """Write a cost map for another program.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        All of it.
-    file : str or Path
-        Like site.yaml; what is there is replaced.
-    name : str, optional
-        Of the format; by default the suffix decides.
-
-    Returns
-    -------
-    list of Path
-        What was written, `file` first.
-
-    Raises
-    ------
-    InputError
-        If the format is unknown.
-    """
+    """Write a cost map for another program."""
     chosen, path = map_format_of(file, name), Path(file)
     path.parent.mkdir(parents=True, exist_ok=True)
     files = map_files(lattice, chosen)
@@ -145,38 +97,12 @@ def save_map(lattice: CostLattice, file: str | Path, name: str | None = None) ->
 
 
 def named(content: bytes, stem: str) -> bytes:
-    """Return the content of one of several files, with their common name in it.
-
-    Parameters
-    ----------
-    content : bytes
-        As `map_files` returns it.
-    stem : str
-        The name.
-
-    Returns
-    -------
-    bytes
-        The same for an image.
-    """
+    """Return the content of one of several files, with their common name in it."""
     return content.replace(b"{stem}", stem.encode()) if content.startswith(b"#") else content
 
 
 def zipped(files: Mapping[str, bytes], stem: str) -> bytes:
-    """Return files as one zip file.
-
-    Parameters
-    ----------
-    files : mapping of str to bytes
-        As `map_files` returns them.
-    stem : str
-        Their name.
-
-    Returns
-    -------
-    bytes
-        The zip file.
-    """
+    """Return files as one zip file."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for suffix, content in files.items():

@@ -23,20 +23,7 @@ TOPIC = "/plan"
 def write(track: Track) -> bytes:
     """Return what is driven as an MCAP file. Needs the extra `logs` (rosbags).
 
-    Parameters
-    ----------
-    track : Track
-        Of a path, a tour or a drive.
-
-    Returns
-    -------
-    bytes
-        One message, nav_msgs/msg/Path, at time 0; the stamps of its poses count from the start of the drive.
-
-    Raises
-    ------
-    InputError
-        If rosbags is not installed.
+    Result: one message, nav_msgs/msg/Path, at time 0; the stamps of its poses count from the start of the drive.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer

@@ -47,20 +47,7 @@ class Mission:
 def mission_of(track: Track) -> Mission:
     """Return the mission of the lines of a track that are driven.
 
-    Parameters
-    ----------
-    track : Track
-        Of a path, a tour or a drive. The stops of a tour stay.
-
-    Returns
-    -------
-    Mission
-        Its energy differs from that of the track by 1 % at most, and all its legs are on free ground.
-
-    Raises
-    ------
-    InputError
-        If the map has no known place on Earth.
+    Result: its energy differs from that of the track by 1 % at most, and all its legs are on free ground.
     """
     parts: list[NDArray[np.float64]] = []
     total = 0.0

@@ -23,25 +23,8 @@ _NEIGHBOURS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != 
 def write(lattice: CostLattice, *, spacing_m: float | None = None) -> dict[str, bytes]:
     """Return a route graph.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    spacing_m : float, optional
-        About how far nodes lie apart [m]; by default so far that there are 2,500 at most.
-
-    Returns
-    -------
-    dict
-        ".geojson" -> the file, in the form of Nav2: nodes are points with `id` and `frame`, edges have `startid`,
-        `endid` and `cost`, the energy of the straight way [J], at least 0. Its coordinates are x, y [m] of the map.
-
-    Raises
-    ------
-    InputError
-        If the spacing is no number above 0.
-    TooLargeError
-        If the graph would have more than `MOST_NODES` nodes.
+    Result: ".geojson" -> the file, in the form of Nav2: nodes are points with `id` and `frame`, edges have `startid`,
+    `endid` and `cost`, the energy of the straight way [J], at least 0. Its coordinates are x, y [m] of the map.
     """
     cells = _cells_apart(lattice, spacing_m)
     place = _nodes(lattice, cells)

@@ -16,18 +16,9 @@ _NOT_KNOWN = (Blocked.OUTSIDE, Blocked.UNKNOWN)
 def occupancy_of(lattice: CostLattice) -> tuple[NDArray[np.uint8], tuple[float, float]]:
     """Return a cost map as occupancy.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-
-    Returns
-    -------
-    values : ndarray of uint8, (rows, cols)
-        0 to 98 from the least to the greatest mean energy per metre over the headings that may be driven; 100 where no
-        heading may be; 255 where the ground is not known.
-    span : tuple of float
-        That least and greatest energy [J/m]; zeros where nothing may be driven.
+    Returns `values` (rows, cols): 0 to 98 from the least to the greatest mean energy per metre over the headings that
+    may be driven, 100 where no heading may be, 255 where the ground is not known; `span`: that least and greatest
+    energy [J/m], zeros where nothing may be driven.
     """
     energy = lattice.mean_energy_per_m()
     free = np.isfinite(energy)
@@ -43,20 +34,10 @@ def occupancy_of(lattice: CostLattice) -> tuple[NDArray[np.uint8], tuple[float, 
 def write(lattice: CostLattice) -> dict[str, bytes]:
     """Return a cost map as the files of Nav2's map server.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
+    Result: ".pgm" -> the image, whose first row is north; ".yaml" -> where it lies. The name of the image in it is
+    "{stem}.pgm", to be replaced by that of the file.
 
-    Returns
-    -------
-    dict
-        ".pgm" -> the image, whose first row is north; ".yaml" -> where it lies. The name of the image in it is
-        "{stem}.pgm", to be replaced by that of the file.
-
-    References
-    ----------
-    nav2_map_server, map_io: in mode `raw` values of 0 to 100 are the occupancy, and others are unknown.
+    Reference: nav2_map_server, map_io: in mode `raw` values of 0 to 100 are the occupancy, and others are unknown.
     """
     values, (low, high) = occupancy_of(lattice)
     rows, cols = values.shape

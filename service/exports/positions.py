@@ -15,23 +15,8 @@ from joulemap.service.exports.track import Line, Track
 def degrees_of(track: Track, line: Line) -> NDArray[np.float64]:
     """Return the corners of a line as a file has them.
 
-    Parameters
-    ----------
-    track : Track
-        That the line is part of.
-    line : Line
-        The line.
-
-    Returns
-    -------
-    ndarray of float64, (n, 2)
-        Longitude, latitude [degrees], rounded, within 1 cm of the corners. Read again, all legs may be driven that may
-        be driven, unless a passage is as narrow as a line.
-
-    Raises
-    ------
-    InputError
-        If the map has no known place on Earth.
+    Result (n, 2): longitude, latitude [degrees], rounded, within 1 cm of the corners. Read again, all legs may be
+    driven that may be driven, unless a passage is as narrow as a line.
     """
     plain = to_wgs84(track.crs, line.points)
     if track.lattice is None:
@@ -50,17 +35,7 @@ def degrees_of(track: Track, line: Line) -> NDArray[np.float64]:
 def read_again(lattice: CostLattice, points: Points) -> Points:
     """Return places of a lattice after they were written in degrees and read again.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Whose frame counts.
-    points : ndarray of float, (n, 2)
-        Fractional (row, col).
-
-    Returns
-    -------
-    ndarray of float, (n, 2)
-        Moved by 0.1 mm at most.
+    `points` (n, 2): fractional (row, col). The result is (n, 2).
     """
     frame = lattice.frame
     lonlat = np.round(to_wgs84(frame.crs, np.column_stack(frame.xy(points[:, 0], points[:, 1]))), DECIMALS)
@@ -68,16 +43,5 @@ def read_again(lattice: CostLattice, points: Points) -> Points:
 
 
 def degree_text(value: float) -> str:
-    """Return degrees as text.
-
-    Parameters
-    ----------
-    value : float
-        Longitude or latitude [degrees].
-
-    Returns
-    -------
-    str
-        With as many decimals as files have.
-    """
+    """Return degrees as text. `value`: longitude or latitude [degrees]."""
     return f"{value:.{DECIMALS}f}"

@@ -19,24 +19,9 @@ _ABOVE_HOME = 1  # altitude mode
 def write(track: Track) -> bytes:
     """Return what is driven as a plan of QGroundControl.
 
-    Parameters
-    ----------
-    track : Track
-        Of a path, a tour or a drive.
+    Result: JSON: the speed, then a waypoint for each corner that the energy needs, at height 0 above home.
 
-    Returns
-    -------
-    bytes
-        JSON: the speed, then a waypoint for each corner that the energy needs, at height 0 above home.
-
-    Raises
-    ------
-    InputError
-        If the map has no known place on Earth.
-
-    References
-    ----------
-    QGroundControl Developer Guide, Plan File Format.
+    Reference: QGroundControl Developer Guide, Plan File Format.
     """
     mission = mission_of(track)
     speed = round(mission.speed_mps, 3)

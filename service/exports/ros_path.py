@@ -22,15 +22,7 @@ Poses = NDArray[np.float64]
 def poses_of(track: Track) -> Poses:
     """Return what is driven as poses.
 
-    Parameters
-    ----------
-    track : Track
-        Of a path, a tour or a drive.
-
-    Returns
-    -------
-    ndarray of float64, (n, 5)
-        x, y, z [m] (z 0 where unknown), yaw [rad, counter-clockwise from east], time since the start [s].
+    Result (n, 5): x, y, z [m] (z 0 where unknown), yaw [rad, counter-clockwise from east], time since the start [s].
     """
     parts, began = list[Poses](), 0.0
     for line in track.driven:
@@ -57,18 +49,7 @@ def _poses(line: Line, speed_mps: float) -> Poses:
 
 
 def stamp_of(seconds: float) -> tuple[int, int]:
-    """Return a time as whole seconds and nanoseconds.
-
-    Parameters
-    ----------
-    seconds : float
-        Since the start, at least 0 [s].
-
-    Returns
-    -------
-    tuple of int
-        Seconds, nanoseconds.
-    """
+    """Return a time as whole seconds and nanoseconds."""
     nanoseconds = round(seconds * 1e9)
     return nanoseconds // 1_000_000_000, nanoseconds % 1_000_000_000
 
@@ -76,15 +57,7 @@ def stamp_of(seconds: float) -> tuple[int, int]:
 def write(track: Track) -> bytes:
     """Return what is driven as a nav_msgs/Path in JSON, with the names of the message.
 
-    Parameters
-    ----------
-    track : Track
-        Of a path, a tour or a drive.
-
-    Returns
-    -------
-    bytes
-        Stamps count from the start of the drive.
+    Result: stamps count from the start of the drive.
     """
 
     def _header(seconds: float) -> dict[str, Any]:

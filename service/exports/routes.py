@@ -71,23 +71,7 @@ ROUTE_FORMATS: dict[str, RouteFormat] = {
 
 
 def route_format(name: str) -> RouteFormat:
-    """Return a format by its name.
-
-    Parameters
-    ----------
-    name : str
-        Like "gpx".
-
-    Returns
-    -------
-    RouteFormat
-        The format.
-
-    Raises
-    ------
-    InputError
-        If there is none of that name.
-    """
+    """Return a format by its name."""
     if name not in ROUTE_FORMATS:
         near = nearest_name(name, ROUTE_FORMATS)
         hint = f"; did you mean {near}?" if near else ""
@@ -96,25 +80,7 @@ def route_format(name: str) -> RouteFormat:
 
 
 def route_format_of(file: str | Path, name: str | None = None) -> RouteFormat:
-    """Return the format of a file that is to be written.
-
-    Parameters
-    ----------
-    file : str or Path
-        Its suffix decides.
-    name : str, optional
-        Unless this does.
-
-    Returns
-    -------
-    RouteFormat
-        The format.
-
-    Raises
-    ------
-    InputError
-        If neither says it.
-    """
+    """Return the format of a file that is to be written."""
     if name is not None:
         return route_format(name)
     found = [known for known in ROUTE_FORMATS.values() if str(file).lower().endswith(known.suffix)]
@@ -131,24 +97,7 @@ def route_format_of(file: str | Path, name: str | None = None) -> RouteFormat:
 def check_route_format(chosen: RouteFormat, crs: str | None, coordinates: str | None = None) -> dict[str, Any]:
     """Refuse what cannot be written on a map; asked before a search.
 
-    Parameters
-    ----------
-    chosen : RouteFormat
-        Format of the file.
-    crs : str or None
-        Coordinate reference system of the map.
-    coordinates : str, optional
-        "wgs84" or "map", of GeoJSON only.
-
-    Returns
-    -------
-    dict
-        Keyword arguments for the module's `write`.
-
-    Raises
-    ------
-    InputError
-        If the format needs degrees and the map has no CRS, or `coordinates` is unknown or not for this format.
+    Result: keyword arguments for the module's `write`.
     """
     if coordinates is not None and coordinates not in COORDINATES:
         raise InputError(f"`coordinates` is {coordinates!r}: give {WGS84} or {MAP}", coordinates=coordinates)
@@ -168,27 +117,7 @@ def check_route_format(chosen: RouteFormat, crs: str | None, coordinates: str | 
 
 
 def route_file(track: Track, chosen: RouteFormat, *, coordinates: str | None = None) -> bytes:
-    """Return a track as a file.
-
-    Parameters
-    ----------
-    track : Track
-        Of a path, a tour or a drive.
-    chosen : RouteFormat
-        Format of the file.
-    coordinates : str, optional
-        "wgs84" or "map", of GeoJSON only.
-
-    Returns
-    -------
-    bytes
-        Its content.
-
-    Raises
-    ------
-    InputError
-        As `check_route_format`; or if the format needs an extra that is not installed.
-    """
+    """Return a track as a file."""
     how = check_route_format(chosen, track.crs, coordinates)
     written: bytes = import_module(f"{__package__}.{chosen.module}").write(track, **how)
     return written

@@ -17,23 +17,9 @@ ENERGY_SHARE = 0.005
 def corners_to_keep(lattice: CostLattice, points: Points, *, share: float = ENERGY_SHARE) -> NDArray[np.int64]:
     """Return the corners of a path that a mission needs.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-    share : float, optional
-        By which share of the path's energy the result may differ.
+    `points` (n, 2): (row, col) polyline. Result (m,): their numbers, in order, the first and the last among them. All
+    legs between them may be driven.
 
-    Returns
-    -------
-    ndarray of int64, (m,)
-        Their numbers, in order, the first and the last among them. All legs between them may be driven. All corners,
-        where the path itself may not be driven.
-
-    Notes
-    -----
     Greedy, from the bottom up, as Visvalingam & Whyatt 1993, with energy instead of area: of all corners the one is
     left out whose absence changes the energy least, until no other may be left out.
     """

@@ -84,45 +84,13 @@ class Track:
 
 
 def line_of(route: Route, kind: str, **properties: Any) -> Line:
-    """Return a route as a line.
-
-    Parameters
-    ----------
-    route : Route
-        From the planner.
-    kind : str
-        One of this module's kinds.
-    **properties : Any
-        More properties, JSON-able.
-
-    Returns
-    -------
-    Line
-        With energy, length and duration among its properties.
-    """
+    """Return a route as a line. Result: with energy, length and duration among its properties."""
     own = {"energy_j": route.energy_j, "length_m": route.length_m, "duration_s": route.duration_s}
     return Line(kind, route.points, {"kind": kind, **own, **properties}, route.profile)
 
 
 def track_of_plan(plan: Plan, lattice: CostLattice, *, warnings: Sequence[str] = (), battery: Any = None) -> Track:
-    """Return a path, the shortest one and the alternatives as a track.
-
-    Parameters
-    ----------
-    plan : Plan
-        From the planner.
-    lattice : CostLattice
-        That it was planned on.
-    warnings : sequence of str, optional
-        Of the cost map.
-    battery : object, optional
-        The verdict, JSON-able.
-
-    Returns
-    -------
-    Track
-        Of all its lines.
-    """
+    """Return a path, the shortest one and the alternatives as a track."""
     best = line_of(plan.route, OPTIMAL, planner=plan.planner, saving_j=plan.saving_j)
     others = (line_of(other, ALTERNATIVE, number=k) for k, other in enumerate(plan.others, start=1))
     extra = {"warnings": [*warnings, *plan.route.notes], "battery": battery}
@@ -131,22 +99,7 @@ def track_of_plan(plan: Plan, lattice: CostLattice, *, warnings: Sequence[str] =
 
 
 def track_of_tour(trip: RoundTrip, lattice: CostLattice, *, warnings: Sequence[str] = ()) -> Track:
-    """Return a tour as a track.
-
-    Parameters
-    ----------
-    trip : RoundTrip
-        From the planner.
-    lattice : CostLattice
-        That it was planned on.
-    warnings : sequence of str, optional
-        Of the cost map.
-
-    Returns
-    -------
-    Track
-        A line for each leg, in the order of driving.
-    """
+    """Return a tour as a track. Result: a line for each leg, in the order of driving."""
     ends = zip(trip.legs, trip.order, (*trip.order[1:], trip.order[0]), strict=True)
     lines = tuple(
         line_of(leg, TOUR_LEG, number=k, from_stop=here, to_stop=there)
@@ -159,24 +112,7 @@ def track_of_tour(trip: RoundTrip, lattice: CostLattice, *, warnings: Sequence[s
 def track_of_task(
     routes: Sequence[Route], lattice: CostLattice, *, warnings: Sequence[str] = (), battery: Any = None
 ) -> Track:
-    """Return the way out, and the way back of a round trip, as a track.
-
-    Parameters
-    ----------
-    routes : sequence of Route
-        One or two, in the order of driving.
-    lattice : CostLattice
-        That they were priced with.
-    warnings : sequence of str, optional
-        Of the cost map.
-    battery : object, optional
-        The verdict, JSON-able.
-
-    Returns
-    -------
-    Track
-        A line for each way.
-    """
+    """Return the way out, and the way back of a round trip, as a track."""
     lines = tuple(line_of(route, kind) for route, kind in zip(routes, (WAY_OUT, WAY_BACK), strict=False))
     extra = {"warnings": [*warnings, *routes[0].notes], "battery": battery}
     name = "joulemap there and back" if len(lines) > 1 else "joulemap path"
@@ -186,20 +122,7 @@ def track_of_task(
 def track_of_drive(drive: Mapping[str, Any]) -> Track:
     """Return a suggested drive as a track.
 
-    Parameters
-    ----------
-    drive : mapping
-        As `NextDrive.as_dict` returns it, or the `next_drive` of a report.
-
-    Returns
-    -------
-    Track
-        One line; what it takes is not known, and its heights are not either.
-
-    Raises
-    ------
-    InputError
-        If no drive is suggested, or its corners are no places of a map.
+    Result: one line; what it takes is not known, and its heights are not either.
     """
     if "why_not" in drive:
         raise InputError(f"no drive is suggested: {drive['why_not']}")

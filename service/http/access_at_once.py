@@ -22,17 +22,7 @@ _RETRY_S = 5.0
 
 
 class AtOnce:
-    """How many of something each client has now.
-
-    Parameters
-    ----------
-    what : str
-        In the plural, for the words of a refusal.
-    most : int
-        Of one address, and of one key.
-    setting : str
-        That changes `most`.
-    """
+    """How many of something each client has now."""
 
     def __init__(self, what: str, most: int, setting: str) -> None:
         self._what, self._most, self._setting = what, most, setting
@@ -40,23 +30,7 @@ class AtOnce:
 
     @contextmanager
     def one_of(self, client: str) -> Iterator[None]:
-        """Count one more of a client meanwhile.
-
-        Parameters
-        ----------
-        client : str
-            As it is called in the words of a refusal.
-
-        Yields
-        ------
-        None
-            Nothing.
-
-        Raises
-        ------
-        RateError
-            If the client has as many as it may.
-        """
+        """Count one more of a client meanwhile."""
         if self._now[client] >= self._most:
             raise RateError(
                 f"{client} has {self._now[client]} {self._what} at a time, and may have {self._most} "
@@ -78,15 +52,6 @@ class Admission:
     """Answers 429 where an address has too many connections that are being answered, and 503 where all have together.
 
     A client that does not take its answer makes room for another one. Probes are always let in.
-
-    Parameters
-    ----------
-    app : ASGIApp
-        Answers what is not refused.
-    connections : Connections
-        Of the server.
-    each : AtOnce
-        Connections that are answered, of each client.
     """
 
     def __init__(self, app: ASGIApp, *, connections: Connections, each: AtOnce) -> None:
@@ -130,13 +95,7 @@ class EventStream(EventSourceResponse):
     """Server-sent events; answers 429 where the address or the key has too many such streams."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the events.
-
-        Parameters
-        ----------
-        scope, receive, send : object
-            Of the request.
-        """
+        """Send the events."""
         streams: AtOnce = scope["app"].state.service.streams
         with ExitStack() as stack:
             stack.enter_context(streams.one_of(address_of(scope)))
@@ -148,15 +107,7 @@ class EventStream(EventSourceResponse):
 def address_of(scope: Scope) -> str:
     """Return the address from which a request comes, in words; that before a proxy which is trusted.
 
-    Parameters
-    ----------
-    scope : Scope
-        Of the request.
-
-    Returns
-    -------
-    str
-        Of an IPv6 address the network of 64 bits, all of which one client usually has.
+    Result: of an IPv6 address the network of 64 bits, all of which one client usually has.
     """
     address = (scope.get("client") or ("unknown",))[0]
     if ":" in address:

@@ -36,17 +36,7 @@ _LOG = logging.getLogger("joulemap.service")
 
 
 class Keys:
-    """The keys of a service, read from its database again and again.
-
-    Parameters
-    ----------
-    store : Store
-        Open when the first request comes.
-    settings : Settings
-        Limits of keys that have none of their own.
-    clock : callable, optional
-        Returns a time that only grows [s].
-    """
+    """The keys of a service, read from its database again and again. `clock`: returns a time that only grows [s]."""
 
     def __init__(self, store: Store, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
         self._store, self._settings, self._clock = store, settings, clock
@@ -56,25 +46,7 @@ class Keys:
         self._lock = anyio.Lock()
 
     async def caller(self, headers: Headers) -> Caller:
-        """Return on whose behalf a request is.
-
-        Parameters
-        ----------
-        headers : Headers
-            Of the request: ``Authorization: Bearer KEY`` or ``X-API-Key: KEY``.
-
-        Returns
-        -------
-        Caller
-            NOBODY while the service has no keys.
-
-        Raises
-        ------
-        UnauthorizedError
-            If there are keys, and none of them was sent.
-        BusyError
-            If the keys cannot be read.
-        """
+        """Return on whose behalf a request is. NOBODY while the service has no keys."""
         await self._read(KNOWN_S)
         if not self._rows:
             return NOBODY
@@ -121,19 +93,7 @@ class Keys:
 
 
 class KeyCheck:
-    """Puts the caller into the request's state; answers 401, 403 or 429 where it may not ask, 503 without a database.
-
-    Parameters
-    ----------
-    app : ASGIApp
-        Answers what is not refused.
-    keys : Keys
-        Those of the service.
-    answered : AtOnce
-        Connections that are answered, of each key.
-    away : callable, optional
-        Whether the database is known not to answer: then nothing waits for it.
-    """
+    """Puts the caller into the request's state; answers 401, 403 or 429 where it may not ask, 503 without database."""
 
     def __init__(self, app: ASGIApp, *, keys: Keys, answered: AtOnce, away: Callable[[], bool] = lambda: False) -> None:
         self._app = app
@@ -174,15 +134,7 @@ class KeyCheck:
 
 
 def warn_if_open(store: Store, host: str) -> None:
-    """Write a warning where other machines can reach a service without keys.
-
-    Parameters
-    ----------
-    store : Store
-        Open.
-    host : str
-        Address that the service listens on.
-    """
+    """Write a warning where other machines can reach a service without keys."""
     if not _is_loopback(host) and not all_keys(store.sessions):
         _LOG.warning(
             "THIS SERVICE IS OPEN: it listens on %s and has no keys, so everybody who reaches it may read, change and "

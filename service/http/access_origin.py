@@ -27,17 +27,6 @@ class TrustedPages:
     The check of `Host` stops DNS rebinding: a foreign page whose name suddenly leads to this machine. The check of
     `Origin` and `Sec-Fetch-Site` stops a foreign page that sends forms or loads pictures, which browsers allow.
     Programs send neither header.
-
-    Parameters
-    ----------
-    app : ASGIApp
-        Answers what is not refused.
-    host : str
-        Address to listen on, which is allowed too.
-    allowed_hosts : collection of str
-        Further names of the service; ``*`` for any.
-    cors_origins : collection of str
-        Origins of pages that may call the service.
     """
 
     def __init__(

@@ -14,10 +14,7 @@ BURST_S = 10.0
 class Buckets:
     """Token buckets by name; one that is full again is forgotten when another one is made.
 
-    Parameters
-    ----------
-    clock : callable, optional
-        Returns a time that only grows [s].
+    `clock`: returns a time that only grows [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -25,20 +22,7 @@ class Buckets:
         self._buckets: dict[str, tuple[float, float]] = {}  # name -> tokens at a time
 
     def take(self, name: str, per_s: float) -> None:
-        """Take one token, from the thread of the event loop.
-
-        Parameters
-        ----------
-        name : str
-            Of the caller.
-        per_s : float
-            Tokens that are added per second [1/s].
-
-        Raises
-        ------
-        RateError
-            If there is none.
-        """
+        """Take one token, from the thread of the event loop."""
         now, most = self._clock(), max(1.0, per_s * BURST_S)
         tokens, since = self._buckets.get(name, (most, now))
         tokens = min(most, tokens + (now - since) * per_s)

@@ -12,15 +12,7 @@ _PARAMETER = re.compile(r"\\{\w+\\}")
 
 
 class Allowed:
-    """Says in 405 which methods a path has.
-
-    Parameters
-    ----------
-    app : ASGIApp
-        Answers.
-    paths : callable
-        Returns the paths of the OpenAPI document, each with its methods.
-    """
+    """Says in 405 which methods a path has."""
 
     def __init__(self, app: ASGIApp, *, paths: Callable[[], Mapping[str, Mapping[str, Any]]]) -> None:
         self._app, self._paths = app, paths

@@ -47,18 +47,7 @@ from north. Energies are joules unless a field says otherwise. Errors are RFC 94
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
-    """Return the app; its service starts and stops with the app's lifespan.
-
-    Parameters
-    ----------
-    settings : Settings, optional
-        Without them they are read from the environment.
-
-    Returns
-    -------
-    FastAPI
-        Ready for a server.
-    """
+    """Return the app; its service starts and stops with the app's lifespan."""
     settings = settings or Settings()
     service = Service(settings)
 

@@ -20,15 +20,7 @@ _SLICE = 4000  # points or pieces: 2 ms
 def answer_of(body: BaseModel | dict[str, Any]) -> Response:
     """Return an answer as it is: it is made of our own values, and FastAPI need not check them.
 
-    Parameters
-    ----------
-    body : BaseModel or dict
-        The answer, or its values.
-
-    Returns
-    -------
-    Response
-        JSON; numbers that are not finite are null.
+    Result: JSON; numbers that are not finite are null.
     """
     values = body.model_dump(mode="json") if isinstance(body, BaseModel) else body
     return Response(_written(values), media_type="application/json")
@@ -51,43 +43,12 @@ def _is_long(value: Any) -> bool:
 
 
 def warnings_of(row: CostmapRow) -> list[str]:
-    """Return what the maker of a cost map warned of.
-
-    Parameters
-    ----------
-    row : CostmapRow
-        Of a cost map that is done.
-
-    Returns
-    -------
-    list of str
-        In words.
-    """
+    """Return what the maker of a cost map warned of."""
     return list((row.summary or {}).get("provenance", {}).get("warnings", []))
 
 
 def same_robot(row: CostmapRow, given: BaseModel | None) -> Robot:
-    """Return the robot of a cost map.
-
-    Parameters
-    ----------
-    row : CostmapRow
-        Of the cost map.
-    given : BaseModel or None
-        The robot of a question, which must be this one or the one that was asked for.
-
-    Returns
-    -------
-    Robot
-        The cost map's.
-
-    Raises
-    ------
-    ConflictError
-        If another one is given; it names the fields.
-    RobotError
-        If what is given is no robot.
-    """
+    """Return the robot of a cost map. Raises ConflictError if another one is given; it names the fields."""
     robot, values = Robot.from_mapping(row.robot), robot_values(given)
     if values:
         Robot.from_mapping(values)

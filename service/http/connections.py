@@ -37,20 +37,7 @@ _SPARE = 2  # connections for each that may be answered, so that a probe or a cl
 
 
 class Connections:
-    """The connections of one server.
-
-    Parameters
-    ----------
-    most : int
-        That are answered at a time. So many more may be open, which wait for their client or are refused. Beyond that,
-        a new one closes that which has waited longest for its client.
-    stalled_s : float
-        Longest time in which a client takes nothing of an answer that waits for it [s].
-    silent_s : float, optional
-        See `SILENT_S`.
-    on_stop : callable, optional
-        Called once when the server begins to stop.
-    """
+    """The connections of one server."""
 
     def __init__(
         self,
@@ -69,50 +56,22 @@ class Connections:
         self._looking = False
 
     def protocol(self, *arguments: Any, **options: Any) -> asyncio.Protocol:
-        """Return the protocol of a new connection, as uvicorn asks for it.
-
-        Parameters
-        ----------
-        *arguments, **options : object
-            Of uvicorn's own protocol.
-
-        Returns
-        -------
-        Protocol
-            For one connection.
-        """
+        """Return the protocol of a new connection, as uvicorn asks for it."""
         return _Connection(self, *arguments, **options)
 
     def owes(self, connection: _Connection) -> None:
-        """Note that bytes of a request are awaited from now on.
-
-        Parameters
-        ----------
-        connection : Protocol
-            On which it comes.
-        """
+        """Note that bytes of a request are awaited from now on."""
         self.waiting[connection] = asyncio.get_running_loop().time()
         self.waiting.move_to_end(connection)
 
     def owes_nothing(self, connection: _Connection) -> None:
-        """Note that a request is whole.
-
-        Parameters
-        ----------
-        connection : Protocol
-            On which it comes.
-        """
+        """Note that a request is whole."""
         self.waiting.pop(connection, None)
 
     def opened(self, newest: _Connection) -> None:
         """Note a new connection, and close another one where there are too many.
 
         That is the one that has waited longest for its client, of the address with the most that wait.
-
-        Parameters
-        ----------
-        newest : Protocol
-            The new one.
         """
         self.open.add(newest)
         self.owes(newest)
@@ -126,25 +85,13 @@ class Connections:
             asyncio.get_running_loop().call_later(_LOOK_S, self._look)
 
     def lost(self, connection: _Connection) -> None:
-        """Note that a connection is closed.
-
-        Parameters
-        ----------
-        connection : Protocol
-            Which it was.
-        """
+        """Note that a connection is closed."""
         self.open.discard(connection)
         self.waiting.pop(connection, None)
         self.stalled.pop(connection, None)
 
     def end_a_stalled_one(self) -> bool:
-        """End the connection whose client has taken nothing of its answer for longest, for another one's sake.
-
-        Returns
-        -------
-        bool
-            Whether there was one.
-        """
+        """End the connection whose client has taken nothing of its answer for longest, for another one's sake."""
         for connection in self.stalled:
             connection.cut_off()
             del self.stalled[connection]
@@ -273,18 +220,7 @@ class _Connection(HttpToolsProtocol):
 
 
 def most_connections(wanted: int) -> int:
-    """Return how many connections there may be, after letting this process open as many files as the system permits.
-
-    Parameters
-    ----------
-    wanted : int
-        As set.
-
-    Returns
-    -------
-    int
-        At most `wanted`, and at least 8.
-    """
+    """Return how many connections there may be, after letting this process open as many files as the system permits."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     needed = _FILES_FOR_OTHERS + _FILES_EACH * wanted
     if soft != resource.RLIM_INFINITY and soft < needed:

@@ -11,41 +11,14 @@ from joulemap.service.storage.owners import NOBODY, Caller
 
 
 async def get_service(request: Request) -> Service:
-    """Return the service of the app that answers a request (a FastAPI dependency), as its caller sees it.
-
-    Parameters
-    ----------
-    request : Request
-        The request at hand.
-
-    Returns
-    -------
-    Service
-        Started.
-    """
+    """Return the service of the app that answers a request (a FastAPI dependency), as its caller sees it."""
     service: Service = request.app.state.service
     caller: Caller = request.state.caller
     return service if caller is NOBODY else service.seen_by(caller)
 
 
 async def with_kernels(request: Request) -> Service:
-    """Return the service once its kernels are loaded (a FastAPI dependency of routes that compute).
-
-    Parameters
-    ----------
-    request : Request
-        The request at hand.
-
-    Returns
-    -------
-    Service
-        Ready.
-
-    Raises
-    ------
-    BusyError
-        If loading takes too long.
-    """
+    """Return the service once its kernels are loaded (a FastAPI dependency of routes that compute)."""
     service = await get_service(request)
     await service.kernels.loaded()
     return service

@@ -79,18 +79,7 @@ SECURITY: list[dict[str, list[str]]] = [{}, {"bearer": []}, {"key": []}]
 
 
 def event_schema(*names: str) -> dict[str, Any]:
-    """Return the schema of one server-sent event.
-
-    Parameters
-    ----------
-    *names : str
-        Names that an event may have.
-
-    Returns
-    -------
-    dict
-        JSON schema.
-    """
+    """Return the schema of one server-sent event."""
     data = {"type": "string", "contentMediaType": "application/json"}
     event = {"type": "string", "enum": list(names)}
     return {"type": "object", "properties": {"event": event, "data": data}, "required": ["event", "data"]}
@@ -109,20 +98,7 @@ RETRY_AFTER = {
 
 
 def statuses_of(method: str, path: str) -> set[int]:
-    """Return the statuses that middleware can answer before an operation is reached, and those of what is kept.
-
-    Parameters
-    ----------
-    method : str
-        In lower case.
-    path : str
-        As in the document.
-
-    Returns
-    -------
-    set of int
-        HTTP statuses.
-    """
+    """Return the statuses that middleware can answer before an operation is reached, and those of what is kept."""
     if path in OPEN_PATHS:
         return {500}
     keeping = {507} if method == "post" and path in KEEPING else set()
@@ -130,18 +106,7 @@ def statuses_of(method: str, path: str) -> set[int]:
 
 
 def problem_example(status: int) -> dict[str, Any]:
-    """Return a problem body that the service answers with a status.
-
-    Parameters
-    ----------
-    status : int
-        HTTP status.
-
-    Returns
-    -------
-    dict
-        JSON-able.
-    """
+    """Return a problem body that the service answers with a status."""
     if status in _ERRORS:
         return problem_of(_ERRORS[status], _ID)
     code, title, detail, context = _OTHERS[status]

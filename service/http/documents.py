@@ -33,18 +33,7 @@ _HEIGHTMAP = f"the heightmap: {formats_in_words()}"
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Return the `responses` of a route that can answer with problems.
-
-    Parameters
-    ----------
-    *statuses : int
-        HTTP statuses of its own; 400, 413, 422 and 500 are always possible.
-
-    Returns
-    -------
-    dict
-        Problem schema by status.
-    """
+    """Return the `responses` of a route that can answer with problems."""
     content = {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Problem")}}}
     return {
         status: {"description": HTTPStatus(status).phrase, "content": content}
@@ -94,13 +83,7 @@ def costmap_body() -> dict[str, Any]:
 
 
 def install(app: FastAPI) -> None:
-    """Add to an app's document the schemas that only problems and hand-written bodies refer to.
-
-    Parameters
-    ----------
-    app : FastAPI
-        Its method `openapi` is replaced.
-    """
+    """Add to an app's document the schemas that only problems and hand-written bodies refer to."""
 
     def _openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -171,10 +154,7 @@ def _add_examples(operation: dict[str, Any], example: Mapping[str, Any]) -> None
 def recorded_examples() -> dict[str, Any]:
     """Return what was asked and answered once, by operation.
 
-    Returns
-    -------
-    dict
-        With ``parameters``, ``body`` and ``answers`` (by status and media type), as far as an operation has them.
+    Result: with ``parameters``, ``body`` and ``answers`` (by status and media type), as far as an operation has them.
     """
     text = resources.files("joulemap.service").joinpath("http", "examples.json").read_text(encoding="utf-8")
     found: dict[str, Any] = json.loads(text)

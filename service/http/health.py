@@ -24,13 +24,7 @@ _PROBE_BYTES = 65_536  # more than what file systems keep in a directory entry o
 
 
 class Health:
-    """Named checks with their latest results.
-
-    Parameters
-    ----------
-    clock : callable, optional
-        Returns a time that only grows [s].
-    """
+    """Named checks with their latest results. `clock`: returns a time that only grows [s]."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -38,17 +32,7 @@ class Health:
         self._over = threading.Event()
 
     def add(self, name: str, look: Look, *, every_s: float = EVERY_S) -> None:
-        """Repeat a check until the service stops.
-
-        Parameters
-        ----------
-        name : str
-            What it looks at, for example ``database``.
-        look : callable
-            The check. It may block: it has a thread of its own.
-        every_s : float, optional
-            Time between its looks [s].
-        """
+        """Repeat a check until the service stops."""
         self._checks[name] = _Repeated(look, every_s, self._clock, self._over)
 
     def start(self) -> None:
@@ -61,13 +45,7 @@ class Health:
         self._over.set()
 
     def results(self) -> dict[str, str]:
-        """Return what the latest look at everything found, without looking again.
-
-        Returns
-        -------
-        dict of str to str
-            By name: OK, or what is wrong.
-        """
+        """Return what the latest look at everything found, without looking again."""
         return {name: check.result() for name, check in self._checks.items()}
 
 
@@ -104,20 +82,7 @@ class _Repeated:
 
 
 def disk_check(folder: Path, *, least_free_bytes: int) -> Look:
-    """Return a check that files can be written.
-
-    Parameters
-    ----------
-    folder : Path
-        The data directory.
-    least_free_bytes : int
-        Least free space.
-
-    Returns
-    -------
-    callable
-        The check.
-    """
+    """Return a check that files can be written."""
 
     def _look() -> None:
         free = shutil.disk_usage(folder).free

@@ -48,18 +48,7 @@ Look = Callable[[Collection[str]], Mapping[str, JobState]]
 
 
 def look_into(store: Store) -> Look:
-    """Return a look at the database of a store.
-
-    Parameters
-    ----------
-    store : Store
-        Open by the time of the first look.
-
-    Returns
-    -------
-    callable
-        The look.
-    """
+    """Return a look at the database of a store."""
 
     def _look(ids: Collection[str]) -> dict[str, JobState]:
         found: dict[str, JobState] = {}
@@ -75,13 +64,7 @@ def look_into(store: Store) -> Look:
 
 
 class JobEvents:
-    """Looks at the jobs that somebody follows, as long as somebody does.
-
-    Parameters
-    ----------
-    look : callable
-        See `look_into`.
-    """
+    """Looks at the jobs that somebody follows, as long as somebody does."""
 
     def __init__(self, look: Look) -> None:
         self._look = look
@@ -99,16 +82,6 @@ class JobEvents:
         """Yield the state of a job now and whenever it has changed; None where it was deleted.
 
         It ends when the job is over, or when the service stops.
-
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-
-        Yields
-        ------
-        JobState or None
-            The state.
         """
         if job_id not in self._followed:
             self._pause_s = _FIRST_S
@@ -133,15 +106,7 @@ class JobEvents:
                 self._changed.pop(job_id, None)
 
     async def until_over(self, job_id: str, timeout_s: float) -> None:
-        """Wait until a job is over or deleted, or the service stops.
-
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-        timeout_s : float
-            Longest time to wait [s].
-        """
+        """Wait until a job is over or deleted, or the service stops."""
         with anyio.move_on_after(timeout_s):
             async for _state in self.follow(job_id):
                 pass

@@ -22,13 +22,7 @@ busy machine. Python's own numbers (700, 10, 10) double the time to read a long 
 
 
 class Kernels:
-    """The kernels of a service.
-
-    Attributes
-    ----------
-    seconds : float or None
-        How long loading took [s]; None until then.
-    """
+    """The kernels of a service. `seconds`: how long loading took [s], None until then."""
 
     def __init__(self) -> None:
         self.seconds: float | None = None
@@ -36,23 +30,11 @@ class Kernels:
         self._ended = threading.Event()
 
     def load(self, check: Callable[[], object]) -> None:
-        """Load them on a thread.
-
-        Parameters
-        ----------
-        check : callable
-            Is called there first; where it raises a JoulemapError, loading has failed.
-        """
+        """Load them on a thread."""
         threading.Thread(target=self._load, args=(check,), name="warm-up", daemon=True).start()
 
     async def loaded(self) -> None:
-        """Wait until they are loaded, without a thread.
-
-        Raises
-        ------
-        BusyError
-            If that takes too long.
-        """
+        """Wait until they are loaded, without a thread."""
         if not self._ended.is_set():
             with anyio.move_on_after(_WAIT_S):
                 while not self._ended.is_set():
@@ -60,34 +42,12 @@ class Kernels:
             self.wait(0.0)
 
     def wait(self, seconds: float = _WAIT_S) -> None:
-        """Wait until they are loaded.
-
-        Parameters
-        ----------
-        seconds : float, optional
-            Longest time [s].
-
-        Raises
-        ------
-        BusyError
-            If it takes longer.
-        """
+        """Wait until they are loaded."""
         if not self._ended.wait(seconds):
             raise BusyError("the service is still compiling its kernels", retry_after_s=10)
 
     def check(self) -> float:
-        """Return how long loading took.
-
-        Returns
-        -------
-        float
-            Seconds.
-
-        Raises
-        ------
-        BusyError
-            If they are not loaded yet, or if that failed.
-        """
+        """Return how long loading took."""
         if self.seconds is not None:
             return self.seconds
         if self._ended.is_set():

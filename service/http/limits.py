@@ -25,17 +25,6 @@ class RequestLimits:
 
     A declared Content-Length above the limit is refused before a byte of the body is read. A body of undeclared length
     is counted while it streams, and so are the lists, objects, names and values of a body of JSON.
-
-    Parameters
-    ----------
-    app : ASGIApp
-        Answers what is not refused.
-    upload_bytes : int
-        Limit for multipart and raw uploads (POST to one of `upload_paths`).
-    other_bytes : int
-        Limit for all other bodies.
-    upload_paths : tuple of str
-        Paths that take files.
     """
 
     def __init__(self, app: ASGIApp, *, upload_bytes: int, other_bytes: int, upload_paths: tuple[str, ...]) -> None:

@@ -26,18 +26,7 @@ class WithRequestId(logging.Filter):
     """Gives each record the id of the request at hand, or ``-``."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Add `request_id`.
-
-        Parameters
-        ----------
-        record : LogRecord
-            Is changed.
-
-        Returns
-        -------
-        bool
-            True: every record stays.
-        """
+        """Add `request_id`."""
         record.request_id = REQUEST_ID.get() or "-"
         return True
 
@@ -48,15 +37,7 @@ class TextLines(logging.Formatter):
     def formatMessage(self, record: logging.LogRecord) -> str:
         """Return the line without exceptions, which are the program's own.
 
-        Parameters
-        ----------
-        record : LogRecord
-            The record.
-
-        Returns
-        -------
-        str
-            Without line breaks or other control characters.
+        Result: without line breaks or other control characters.
         """
         return super().formatMessage(record).translate(_ESCAPED)
 
@@ -65,18 +46,7 @@ class JsonLines(logging.Formatter):
     """A record as a line of JSON: `time` (UTC), `level`, `logger`, `message`, `request_id`, and fields of its own."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line.
-
-        Parameters
-        ----------
-        record : LogRecord
-            The record.
-
-        Returns
-        -------
-        str
-            JSON without a line break.
-        """
+        """Return the line."""
         line: dict[str, Any] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
@@ -91,13 +61,7 @@ class JsonLines(logging.Formatter):
 
 
 class WrittenByAThread(QueueHandler):
-    """Leaves lines to a thread: standard error may be a pipe, and the event loop does not wait for its reader.
-
-    Parameters
-    ----------
-    kind : {"text", "json"}
-        Form of a line.
-    """
+    """Leaves lines to a thread: standard error may be a pipe, and the event loop does not wait for its reader."""
 
     def __init__(self, kind: Literal["text", "json"]) -> None:
         self._lines: Queue[logging.LogRecord | None] = Queue(_MOST_WAITING)
@@ -109,28 +73,11 @@ class WrittenByAThread(QueueHandler):
         self._thread.start()
 
     def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
-        """Return the record as it is: it is formatted where it is written.
-
-        Parameters
-        ----------
-        record : LogRecord
-            The record.
-
-        Returns
-        -------
-        LogRecord
-            The same.
-        """
+        """Return the record as it is: it is formatted where it is written."""
         return record
 
     def enqueue(self, record: logging.LogRecord) -> None:
-        """Leave a record to the thread.
-
-        Parameters
-        ----------
-        record : LogRecord
-            The record.
-        """
+        """Leave a record to the thread."""
         self._lines.put(record)
 
     def close(self) -> None:
@@ -146,18 +93,7 @@ class WrittenByAThread(QueueHandler):
 
 
 def log_config(kind: Literal["text", "json"]) -> dict[str, Any]:
-    """Return the configuration of the log for uvicorn, which then writes no line per request of its own.
-
-    Parameters
-    ----------
-    kind : {"text", "json"}
-        Form of a line.
-
-    Returns
-    -------
-    dict
-        For `logging.config.dictConfig`.
-    """
+    """Return the configuration of the log for uvicorn, which then writes no line per request of its own."""
     return {
         "version": 1,
         "disable_existing_loggers": False,

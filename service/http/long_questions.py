@@ -24,20 +24,7 @@ Report = Callable[[float], None]
 
 
 async def while_connected(request: Request, answer: Coroutine[Any, Any, Response]) -> Response:
-    """Return an answer, or cancel it when the connection is closed before it is there.
-
-    Parameters
-    ----------
-    request : Request
-        Whose connection counts; its body has been read.
-    answer : coroutine
-        Returns the answer.
-
-    Returns
-    -------
-    Response
-        The answer, with status 499 where nobody reads it.
-    """
+    """Return an answer, or cancel it when the connection is closed before it is there."""
     try:
         return await unless_gone(request, answer)
     except ClientDisconnect:
@@ -45,25 +32,7 @@ async def while_connected(request: Request, answer: Coroutine[Any, Any, Response
 
 
 async def unless_gone(request: Request, work: Coroutine[Any, Any, Result]) -> Result:
-    """Return the result of some work, or cancel it when the connection is closed before it is there.
-
-    Parameters
-    ----------
-    request : Request
-        Whose connection counts; its body has been read.
-    work : coroutine
-        Returns the result.
-
-    Returns
-    -------
-    object
-        The result, once the work has ended.
-
-    Raises
-    ------
-    ClientDisconnect
-        If the connection was closed.
-    """
+    """Return the result of some work, or cancel it when the connection is closed before it is there."""
     task, gone = asyncio.create_task(work), asyncio.create_task(_gone(request))
     try:
         await asyncio.wait({task, gone}, return_when=asyncio.FIRST_COMPLETED)
@@ -82,18 +51,7 @@ async def _gone(request: Request) -> None:
 
 
 async def events(work: Callable[[Report], Awaitable[Response]]) -> AsyncIterator[ServerSentEvent]:
-    """Yield server-sent events: `progress` with the share that is done, then `answer`, or `problem` as of RFC 9457.
-
-    Parameters
-    ----------
-    work : callable
-        The work; it is cancelled when the generator is closed.
-
-    Yields
-    ------
-    ServerSentEvent
-        An event.
-    """
+    """Yield server-sent events: `progress` with the share that is done, then `answer`, or `problem` as of RFC 9457."""
     share = 0.0
 
     def _report(done: float) -> None:

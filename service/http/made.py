@@ -21,21 +21,7 @@ Job = TypeVar("Job", CostmapRow, CalibrationRow)
 
 
 class Made:
-    """Cost maps and calibrations.
-
-    Attributes
-    ----------
-    settings : Settings
-        Limits and folders.
-    store : Store
-        Their rows and files.
-    jobs : Jobs
-        Those that wait or run.
-    maps : OpenMaps
-        Cost maps in memory.
-    retention : Retention
-        Is told what is used.
-    """
+    """Cost maps and calibrations."""
 
     settings: Settings
     store: Store
@@ -47,18 +33,7 @@ class Made:
         self._known: dict[str, tuple[float, CostmapRow]] = {}  # a robot asks for the same map 200 times a second
 
     def check_room(self, kind: str = COSTMAP) -> None:
-        """Check that one more job may be added.
-
-        Parameters
-        ----------
-        kind : str, optional
-            COSTMAP or CALIBRATION.
-
-        Raises
-        ------
-        BusyError
-            If the queue of this kind is full.
-        """
+        """Check that one more job may be added."""
         waiting, limit = len(self.store.unfinished(kind)), self.settings.queue_size
         if waiting >= limit:
             raise BusyError(
@@ -71,22 +46,8 @@ class Made:
     def done_costmap(self, costmap_id: str) -> CostmapRow:
         """Return the row of a cost map that is done.
 
-        Parameters
-        ----------
-        costmap_id : str
-            Its id.
-
-        Returns
-        -------
-        CostmapRow
-            Whose lattice can be loaded.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        ConflictError
-            If it is not done, or has failed.
+        Whose lattice can be loaded. Raises NotFoundError if there is none; ConflictError if it is not done, or has
+        failed.
         """
         read_at, row = self._known.get(costmap_id, (-KNOWN_S, None))
         if row is None or time.monotonic() - read_at > KNOWN_S or not self.store.may_see(row):
@@ -100,37 +61,14 @@ class Made:
     def done_calibration(self, calibration_id: str) -> CalibrationRow:
         """Return the row of a calibration that is done.
 
-        Parameters
-        ----------
-        calibration_id : str
-            Its id.
-
-        Returns
-        -------
-        CalibrationRow
-            Whose report can be read.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        ConflictError
-            If it is not done, or has failed.
+        Whose report can be read. Raises NotFoundError if there is none; ConflictError if it is not done, or has failed.
         """
         return self._done(self.store.calibration(calibration_id), "calibration")
 
     def cancel(self, job_id: str) -> None:
         """Stop a job; its record stays, and what was made of it so far goes.
 
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-
-        Raises
-        ------
-        ConflictError
-            If it is done or has failed.
+        Raises ConflictError if it is done or has failed.
         """
         if not self.store.cancel(job_id) and (status := self.store.status(job_id)) != CANCELLED:
             raise ConflictError(f"{job_id} is {status or 'deleted'}: there is nothing to cancel", status=status)
@@ -138,18 +76,7 @@ class Made:
         self.store.discard(job_id, self.settings.resolved_models_dir)
 
     def delete_costmap(self, costmap_id: str) -> None:
-        """Delete a cost map; one that is being made is stopped.
-
-        Parameters
-        ----------
-        costmap_id : str
-            Its id.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        """
+        """Delete a cost map; one that is being made is stopped. Raises NotFoundError if there is none."""
         self.store.delete_costmap(costmap_id)
         self._known.pop(costmap_id, None)
         self.maps.forget(costmap_id)
@@ -157,17 +84,7 @@ class Made:
     def delete_calibration(self, calibration_id: str) -> None:
         """Delete a calibration with its report and its model; one that is being made is stopped.
 
-        Parameters
-        ----------
-        calibration_id : str
-            Its id.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        ConflictError
-            If cost maps use its model.
+        Raises NotFoundError if there is none; ConflictError if cost maps use its model.
         """
         self.store.delete_calibration(calibration_id)
         self.store.discard(calibration_id, self.settings.resolved_models_dir)

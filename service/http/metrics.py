@@ -32,13 +32,7 @@ _SLOT_S, _SLOTS = 10.0, 6  # the worst stall is that of the last minute
 
 
 class Metrics:
-    """The metrics of one service, in a registry of their own.
-
-    Attributes
-    ----------
-    registry : CollectorRegistry
-        Where more may be registered.
-    """
+    """The metrics of one service, in a registry of their own."""
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
@@ -67,45 +61,15 @@ class Metrics:
         self.gauge("joulemap_event_loop_stall_max_seconds", "the longest stall of the last minute", self.worst_stall_s)
 
     def gauge(self, name: str, words: str, read: Numbers, *, labels: Sequence[str] = ()) -> None:
-        """Add a number that goes up and down.
-
-        Parameters
-        ----------
-        name : str
-            With its unit at the end.
-        words : str
-            What it says.
-        read : callable
-            Returns it at once; called on the event loop at every scrape.
-        labels : sequence of str, optional
-            What the keys are where it returns several.
-        """
+        """Add a number that goes up and down."""
         self.registry.register(_Read(GaugeMetricFamily, name, words, read, labels))
 
     def counter(self, name: str, words: str, read: Numbers, *, labels: Sequence[str] = ()) -> None:
-        """Add a number that only grows; as `gauge`.
-
-        Parameters
-        ----------
-        name : str
-            Ends with ``_total``.
-        words : str
-            What it says.
-        read : callable
-            Returns it at once.
-        labels : sequence of str, optional
-            What the keys are where it returns several.
-        """
+        """Add a number that only grows; as `gauge`."""
         self.registry.register(_Read(CounterMetricFamily, name, words, read, labels))
 
     def queues(self, queues: Iterable[WorkQueue]) -> None:
-        """Add what there is to know of queues.
-
-        Parameters
-        ----------
-        queues : iterable of WorkQueue
-            All of a service.
-        """
+        """Add what there is to know of queues."""
         known = {queue.name: queue for queue in queues}
 
         def _each(value: Callable[[WorkQueue], int]) -> Callable[[], Mapping[str, float]]:
@@ -122,31 +86,11 @@ class Metrics:
         )
 
     def saw_request(self, method: str, route: str, status: int, seconds: float) -> None:
-        """Count a request that was answered.
-
-        Parameters
-        ----------
-        method : str
-            As GET.
-        route : str
-            Template of its path.
-        status : int
-            HTTP status.
-        seconds : float
-            How long it took [s].
-        """
+        """Count a request that was answered."""
         self._requests.labels(method, route, str(status)).observe(seconds)
 
     def saw_work(self, queue: str, waited_s: float, took_s: float) -> None:
-        """Count a piece of work that has ended.
-
-        Parameters
-        ----------
-        queue : str
-            Name of its queue.
-        waited_s, took_s : float
-            Time in the queue and on a thread [s].
-        """
+        """Count a piece of work that has ended."""
         self._waited.labels(queue).observe(waited_s)
         self._took.labels(queue).observe(took_s)
 
@@ -163,23 +107,11 @@ class Metrics:
             self._worst[-1][1] = max(self._worst[-1][1], late)
 
     def worst_stall_s(self) -> float:
-        """Return the longest stall of the event loop in the last minute.
-
-        Returns
-        -------
-        float
-            Seconds.
-        """
+        """Return the longest stall of the event loop in the last minute."""
         return max((late for _, late in self._worst), default=0.0)
 
     def text(self) -> bytes:
-        """Return everything in Prometheus' text format.
-
-        Returns
-        -------
-        bytes
-            Of `MEDIA_TYPE`.
-        """
+        """Return everything in Prometheus' text format."""
         return generate_latest(self.registry)
 
 

@@ -23,15 +23,7 @@ _NO_ANSWER = 499  # as nginx logs a request whose client closed the connection
 
 
 class Observed:
-    """Gives each request an id, that of its header X-Request-ID where it has a good one; counts it and logs it.
-
-    Parameters
-    ----------
-    app : ASGIApp
-        Answers.
-    metrics : Metrics
-        Where requests are counted.
-    """
+    """Gives each request an id, that of its header X-Request-ID where it has a good one; counts it and logs it."""
 
     def __init__(self, app: ASGIApp, *, metrics: Metrics) -> None:
         self._app, self._metrics = app, metrics

@@ -27,24 +27,6 @@ class OpenMaps:
 
     A planner in memory keeps tables that do not change once they are made, so any number of threads ask it at a time.
     One that leaves its cost map on disk answers one question at a time.
-
-    Parameters
-    ----------
-    load : callable
-        Returns the lattice of a cost map's id.
-    size : int
-        Most maps in memory.
-    place : callable
-        Returns the folder of a cost map's id.
-    most_cells : int
-        Above so many cells, questions for routes are answered from the folder.
-    memory_bytes : int
-        Most memory of such a question.
-
-    Attributes
-    ----------
-    hits, misses : int
-        Questions that found their planner in memory, and those that had to load it.
     """
 
     def __init__(
@@ -69,50 +51,20 @@ class OpenMaps:
     def is_open(self, costmap_id: str) -> bool:
         """Return whether a planner of a cost map is in memory, so that its questions may run side by side.
 
-        Parameters
-        ----------
-        costmap_id : str
-            Id of a cost map.
-
-        Returns
-        -------
-        bool
-            False too for one that is planned on from disk.
+        Result: False too for one that is planned on from disk.
         """
         entry = self._entries.get(costmap_id)
         return entry is not None and entry.planner is not None
 
     def planner(self, costmap_id: str) -> RoutePlanner:
-        """Return the planner of a cost map, which other threads may use at the same time.
-
-        Parameters
-        ----------
-        costmap_id : str
-            Id of a cost map that is done.
-
-        Returns
-        -------
-        RoutePlanner
-            Loaded where it was not in memory.
-        """
+        """Return the planner of a cost map, which other threads may use at the same time."""
         entry = self._entry(costmap_id)
         with entry.loading:
             return self._loaded(entry, costmap_id)
 
     @contextmanager
     def for_routes(self, costmap_id: str) -> Iterator[RoutePlanner | StoredPlanner]:
-        """Lend a planner of a cost map; of a large map, to this thread alone, one that leaves the map on disk.
-
-        Parameters
-        ----------
-        costmap_id : str
-            Id of a cost map that is done.
-
-        Yields
-        ------
-        RoutePlanner or StoredPlanner
-            For routes and verdicts.
-        """
+        """Lend a planner of a cost map; of a large map, to this thread alone, one that leaves the map on disk."""
         entry = self._entry(costmap_id)
         with entry.loading:
             if entry.planner is None and entry.stored is None:
@@ -130,18 +82,7 @@ class OpenMaps:
 
     @contextmanager
     def for_pricing(self, costmap_id: str) -> Iterator[RoutePlanner | StoredPlanner]:
-        """Lend a planner of a cost map to price given paths, which does not wait for searches.
-
-        Parameters
-        ----------
-        costmap_id : str
-            Id of a cost map that is done.
-
-        Yields
-        ------
-        RoutePlanner or StoredPlanner
-            Not for searches.
-        """
+        """Lend a planner of a cost map to price given paths, which does not wait for searches."""
         entry = self._entry(costmap_id)
         if entry.planner is None:
             with entry.pricing:
@@ -170,15 +111,7 @@ class OpenMaps:
         return entry
 
     def keep(self, costmap_id: str, planner: RoutePlanner) -> None:
-        """Keep a planner that is ready for questions.
-
-        Parameters
-        ----------
-        costmap_id : str
-            Id of its cost map.
-        planner : RoutePlanner
-            Ready.
-        """
+        """Keep a planner that is ready for questions."""
         entry = _Entry()
         entry.planner = planner
         with self._lock:
@@ -186,13 +119,7 @@ class OpenMaps:
             self._let_go()
 
     def forget(self, costmap_id: str) -> None:
-        """Drop a cost map that was deleted.
-
-        Parameters
-        ----------
-        costmap_id : str
-            Its id.
-        """
+        """Drop a cost map that was deleted."""
         with self._lock:
             self._entries.pop(costmap_id, None)
 

@@ -14,33 +14,12 @@ _PRICE_THREADS = 4
 
 
 def cores() -> int:
-    """Return how many cores this process may use.
-
-    Returns
-    -------
-    int
-        At least 1.
-    """
+    """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def plan_queue(settings: Settings, maps: OpenMaps, observe: Observe) -> WorkQueue:
-    """Return the queue of routes, tours, energy fields, pictures and files of cost maps.
-
-    Parameters
-    ----------
-    settings : Settings
-        Its limits.
-    maps : OpenMaps
-        One question of a map loads it; the others begin once it is loaded.
-    observe : callable
-        Is told of every piece of work.
-
-    Returns
-    -------
-    WorkQueue
-        Empty.
-    """
+    """Return the queue of routes, tours, energy fields, pictures and files of cost maps."""
     return WorkQueue(
         PLANS,
         threads=settings.plan_threads or cores(),
@@ -53,22 +32,7 @@ def plan_queue(settings: Settings, maps: OpenMaps, observe: Observe) -> WorkQueu
 
 
 def price_queue(settings: Settings, maps: OpenMaps, observe: Observe) -> WorkQueue:
-    """Return the queue of questions that need no search: verdicts for given paths, prices at a place.
-
-    Parameters
-    ----------
-    settings : Settings
-        Its limits.
-    maps : OpenMaps
-        As of `plan_queue`.
-    observe : callable
-        Is told of every piece of work.
-
-    Returns
-    -------
-    WorkQueue
-        Empty.
-    """
+    """Return the queue of questions that need no search: verdicts for given paths, prices at a place."""
     return WorkQueue(
         PRICES,
         threads=_PRICE_THREADS,

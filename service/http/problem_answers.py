@@ -28,20 +28,7 @@ _BODY, _THE_BODY = "body", "the body "
 
 
 def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> JSONResponse:
-    """Return a problem as an HTTP response.
-
-    Parameters
-    ----------
-    body : mapping
-        As `problem` returns it.
-    headers : mapping, optional
-        Further headers.
-
-    Returns
-    -------
-    JSONResponse
-        With ``Retry-After`` where the context has ``retry_after_s``.
-    """
+    """Return a problem as an HTTP response. Result: with ``Retry-After`` where the context has ``retry_after_s``."""
     extra = dict(headers or {})
     retry = body["context"].get("retry_after_s")
     if retry is not None:
@@ -54,27 +41,13 @@ def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) 
 def request_id(request: Request) -> str | None:
     """Return the id that `joulemap.service.http.limits` gave the request.
 
-    Parameters
-    ----------
-    request : Request
-        The request at hand.
-
-    Returns
-    -------
-    str or None
-        None where the middleware is not installed.
+    Result: None where the middleware is not installed.
     """
     return request.scope.get("state", {}).get("request_id")
 
 
 def install(app: FastAPI) -> None:
-    """Answer every error of an app with a problem body.
-
-    Parameters
-    ----------
-    app : FastAPI
-        Gets the handlers.
-    """
+    """Answer every error of an app with a problem body."""
 
     @app.exception_handler(JoulemapError)
     async def _tree(request: Request, error: JoulemapError) -> JSONResponse:

@@ -29,10 +29,7 @@ class QuickJsonRoute(APIRoute):
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return what answers a request.
 
-        Returns
-        -------
-        callable
-            FastAPI's own, to which a large body comes as the model that it is to be, which it does not check again.
+        Result: FastAPI's own, to which a large body comes as the model that it is to be, which it does not check again.
         """
         handler = super().get_route_handler()
         check: Check | None = self.body_field.validate if self.body_field is not None else None
@@ -84,23 +81,7 @@ def _understood(body: bytes, check: Check | None) -> Any:
 
 
 def parsed(body: bytes) -> Any:
-    """Return what a body of JSON says.
-
-    Parameters
-    ----------
-    body : bytes
-        JSON. The first list of lists of numbers is parsed in slices where it is a value of the outermost object.
-
-    Returns
-    -------
-    object
-        Dictionaries, lists, texts and numbers.
-
-    Raises
-    ------
-    ValueError
-        If it is no JSON.
-    """
+    """Return what a body of JSON says. Result: dictionaries, lists, texts and numbers."""
     if len(body) <= _LARGE_BYTES:
         return from_json(body)
     begin, end = body.find(b"[["), body.find(b"]]")

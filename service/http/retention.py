@@ -25,17 +25,7 @@ _LOG = logging.getLogger("joulemap.service")
 
 
 class Retention:
-    """What a service does about what it keeps.
-
-    Parameters
-    ----------
-    settings : Settings
-        How long and how much is kept.
-    store : Store
-        Open while it runs.
-    delete : mapping
-        By table of jobs: deletes the job that has this id.
-    """
+    """What a service does about what it keeps."""
 
     def __init__(self, settings: Settings, store: Store, delete: Mapping[Any, Callable[[str], object]]) -> None:
         self._settings, self._store = settings, store
@@ -46,13 +36,7 @@ class Retention:
         self._thread = anyio.CapacityLimiter(1)
 
     def saw(self, job_id: str) -> None:
-        """Note that a cost map or a calibration is used now.
-
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-        """
+        """Note that a cost map or a calibration is used now."""
         with self._lock:
             self._uses[job_id] = _now()
 
@@ -64,13 +48,7 @@ class Retention:
             note_uses(self._store, uses)
 
     def sweep(self) -> list[str]:
-        """Remove what was not used for a long time or has no room.
-
-        Returns
-        -------
-        list of str
-            Ids of what was removed.
-        """
+        """Remove what was not used for a long time or has no room."""
         self.note()
         gb = self._settings.retention_gb
         return remove_unused(
@@ -83,13 +61,7 @@ class Retention:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Do this now and then, on a thread of its own.
-
-        Yields
-        ------
-        None
-            Nothing.
-        """
+        """Do this now and then, on a thread of its own."""
         task = asyncio.create_task(self._run())
         try:
             yield

@@ -50,36 +50,12 @@ class WantedFile:
     coordinates: str | None
 
     def check(self, frame: GridFrame) -> None:
-        """Refuse what cannot be written on a map.
-
-        Parameters
-        ----------
-        frame : GridFrame
-            Of the map.
-
-        Raises
-        ------
-        InputError
-            If the format needs degrees and the map has no CRS.
-        """
+        """Refuse what cannot be written on a map."""
         if self.chosen is not None:
             check_route_format(self.chosen, frame.crs, self.coordinates)
 
     def response(self, track: Track, name: str) -> Response:
-        """Return the file.
-
-        Parameters
-        ----------
-        track : Track
-            What is to be written.
-        name : str
-            Of the file, without its suffix.
-
-        Returns
-        -------
-        Response
-            Named, so that a browser keeps it.
-        """
+        """Return the file."""
         assert self.chosen is not None
         content = route_file(track, self.chosen, coordinates=self.coordinates)
         headers = {"Content-Disposition": f'attachment; filename="{name}{self.chosen.suffix}"'}
@@ -87,27 +63,7 @@ class WantedFile:
 
 
 def route_file_wanted(format: str | None, accept: str | None, coordinates: str | None) -> WantedFile:
-    """Return in which format a route is wanted.
-
-    Parameters
-    ----------
-    format : str or None
-        Of the query.
-    accept : str or None
-        The header Accept; it counts where the query says nothing.
-    coordinates : str or None
-        Of the query.
-
-    Returns
-    -------
-    WantedFile
-        For the answer.
-
-    Raises
-    ------
-    InputError
-        If `coordinates` come without GeoJSON.
-    """
+    """Return in which format a route is wanted."""
     offered = {known.media_type: name for name, known in ROUTE_FORMATS.items()}
     asked = [part.split(";")[0].strip() for part in (accept or "").split(",")]
     own = ("text/plain", "application/octet-stream")  # too general to mean one of these

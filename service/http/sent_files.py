@@ -23,48 +23,14 @@ from joulemap.service.storage.tables import HeightmapRow, RunsRow
 
 
 class SentFiles:
-    """What a service does with files that are sent.
-
-    Attributes
-    ----------
-    settings : Settings
-        Limits.
-    store : Store
-        Where they are kept.
-    readers : Readers
-        Processes that read them.
-    """
+    """What a service does with files that are sent."""
 
     settings: Settings
     store: Store
     readers: Readers
 
     async def keep_heightmap(self, path: Path, *, name: str, **options: Any) -> HeightmapRow:
-        """Read, check and keep a heightmap that was sent.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-        name : str
-            Its name for people, whose ending may say the format.
-        **options
-            As those of `read_heightmap`.
-
-        Returns
-        -------
-        HeightmapRow
-            The new row.
-
-        Raises
-        ------
-        HeightmapError
-            If it is not a heightmap that can be used.
-        TooLargeError
-            If it has too many cells, or takes too much time or memory to read.
-        BusyError
-            If too many files wait to be read.
-        """
+        """Read, check and keep a heightmap that was sent."""
         made = path.with_name(f"{path.name}.tif")
         most = self.settings.max_cells
         try:
@@ -91,36 +57,8 @@ class SentFiles:
     ) -> RunsRow:
         """Read, check and keep runs that were sent together.
 
-        Parameters
-        ----------
-        files : sequence of (str, Path)
-            Name and file of each.
-        heightmap_id : str, optional
-            Id of the heightmap that they were driven on.
-        odometry : Odometry, optional
-            How runs without positions are read.
-        mapping : mapping of str to str, optional
-            Where columns are taken from, as `read_mapping` returns it.
-        accept_implausible : bool, optional
-            Whether runs are kept whose numbers are hardly in the units that they are read in.
-
-        Returns
-        -------
-        RunsRow
-            The new row. Runs in other formats, columns or units are kept in joulemap's, as CSV.
-
-        Raises
-        ------
-        RunsError
-            If a run cannot be read, contains no segment, or does not lie on the heightmap.
-        TooLargeError
-            If a run is larger than the limits, or takes too much time or memory to read.
-        BusyError
-            If too many files wait to be read.
-        InputError
-            If two runs have the same name.
-        NotFoundError
-            If there is no such heightmap.
+        Result: runs in other formats, columns or units are kept in joulemap's, as CSV. Raises NotFoundError if there is
+        no such heightmap.
         """
         copies = await anyio.to_thread.run_sync(same_content, [path for _, path in files])
         called = {path: name for name, path in files}

@@ -37,13 +37,7 @@ _LOG = logging.getLogger("joulemap.service")
 
 
 class Service(SentFiles, Made):
-    """Everything that requests share; made with the app, started and stopped with it.
-
-    Parameters
-    ----------
-    settings : Settings
-        Limits and folders.
-    """
+    """Everything that requests share; made with the app, started and stopped with it."""
 
     def __init__(self, settings: Settings) -> None:
         super().__init__()
@@ -95,49 +89,19 @@ class Service(SentFiles, Made):
     def seen_by(self, caller: Caller) -> Service:
         """Return this service as a caller sees it.
 
-        Parameters
-        ----------
-        caller : Caller
-            On whose behalf it is asked.
-
-        Returns
-        -------
-        Service
-            With the same jobs and maps; what others own is not in its store.
+        Result: with the same jobs and maps; what others own is not in its store.
         """
         seen = copy.copy(self)
         seen.store = self.store.seen_by(caller)
         return seen
 
     def find_predictor(self, model: str) -> Predictor:
-        """Return a model that the caller may use.
-
-        Parameters
-        ----------
-        model : str
-            Its name, or the id of a calibration.
-
-        Returns
-        -------
-        Predictor
-            Ready to be asked.
-
-        Raises
-        ------
-        ModelError
-            If there is no such model, or if it belongs to another owner.
-        """
+        """Return a model that the caller may use."""
         self.store.model_here(model, self.settings.resolved_models_dir)
         return find_predictor(model, models_dir=self.settings.resolved_models_dir, hidden=self.store.hidden_models())
 
     def start(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Open the store, load the kernels in a thread, and go on with unfinished jobs.
-
-        Parameters
-        ----------
-        loop : asyncio.AbstractEventLoop
-            That of the requests.
-        """
+        """Open the store, load the kernels in a thread, and go on with unfinished jobs."""
         self._loop = loop
         self.store.open()
         self.health.start()
@@ -153,18 +117,7 @@ class Service(SentFiles, Made):
         self.store.close()
 
     def check_ready(self) -> float:
-        """Return how long loading the kernels took, from what is known already.
-
-        Returns
-        -------
-        float
-            Seconds.
-
-        Raises
-        ------
-        BusyError
-            If they are not loaded yet, if that failed, or if the latest look at something found that it is not well.
-        """
+        """Return how long loading the kernels took, from what is known already."""
         seconds = self.kernels.check()
         checks = self.health.results()
         wrong = [f"{name}: {found}" for name, found in checks.items() if found != OK]
@@ -175,10 +128,7 @@ class Service(SentFiles, Made):
     def database_is_away(self) -> bool:
         """Return whether the latest look at a database that other programs serve found none, without looking again.
 
-        Returns
-        -------
-        bool
-            False for SQLite, which is a file and answers or fails at once.
+        Result: False for SQLite, which is a file and answers or fails at once.
         """
         served = not self.settings.resolved_database_url.startswith("sqlite")
         return served and self.health.results()["database"] not in (OK, NOT_YET)

@@ -25,43 +25,12 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def media_type(request: Request) -> str:
-    """Return the content type of a request, in lower case and without parameters.
-
-    Parameters
-    ----------
-    request : Request
-        The request at hand.
-
-    Returns
-    -------
-    str
-        Empty where it has none.
-    """
+    """Return the content type of a request, in lower case and without parameters."""
     return request.headers.get("content-type", "").split(";")[0].strip().lower()
 
 
 def validated(model: type[Model], values: Mapping[str, Any], *, where: str) -> Model:
-    """Return values as a model, checked as FastAPI checks a body.
-
-    Parameters
-    ----------
-    model : type
-        A pydantic model.
-    values : mapping
-        Its fields.
-    where : str
-        Where they were sent: body, query, or the name of a form field.
-
-    Returns
-    -------
-    BaseModel
-        Of the type `model`.
-
-    Raises
-    ------
-    RequestValidationError
-        If they are not valid.
-    """
+    """Return values as a model, checked as FastAPI checks a body."""
     try:
         return model.model_validate(values)
     except ValidationError as error:
@@ -69,48 +38,13 @@ def validated(model: type[Model], values: Mapping[str, Any], *, where: str) -> M
 
 
 def invalid(error: ValidationError, where: str) -> RequestValidationError:
-    """Return pydantic's findings as those of a request.
-
-    Parameters
-    ----------
-    error : ValidationError
-        Pydantic's findings.
-    where : str
-        Where the values were sent: body, query, or the name of a form field.
-
-    Returns
-    -------
-    RequestValidationError
-        To be raised.
-    """
+    """Return pydantic's findings as those of a request."""
     found = error.errors(include_url=False)
     return RequestValidationError([{**e, "loc": (where, *e["loc"])} for e in found])
 
 
 async def take_raw(request: Request, service: Service, options: UploadOptions) -> HeightmapRow:
-    """Keep the heightmap that is the whole body of a request.
-
-    Parameters
-    ----------
-    request : Request
-        The request at hand.
-    service : Service
-        Where it is kept.
-    options : UploadOptions
-        What the file does not say.
-
-    Returns
-    -------
-    HeightmapRow
-        The new row.
-
-    Raises
-    ------
-    HeightmapError
-        If it is not a heightmap that can be used.
-    TooLargeError
-        If it has too many cells.
-    """
+    """Keep the heightmap that is the whole body of a request."""
     with service.store.upload_file() as path:
         await _receive(request, path)
         return await _keep(request, service, path, options, "upload")
@@ -119,33 +53,7 @@ async def take_raw(request: Request, service: Service, options: UploadOptions) -
 async def take_form(
     request: Request, form: Mapping[str, Any], service: Service, options: UploadOptions
 ) -> HeightmapRow:
-    """Keep the heightmap in the field `file` of a form.
-
-    Parameters
-    ----------
-    request : Request
-        The request at hand.
-    form : mapping
-        The form; its other fields are upload options.
-    service : Service
-        Where it is kept.
-    options : UploadOptions
-        Of the query; fields of the form replace them.
-
-    Returns
-    -------
-    HeightmapRow
-        The new row.
-
-    Raises
-    ------
-    InputError
-        If the form has no file.
-    HeightmapError
-        If it is not a heightmap that can be used.
-    TooLargeError
-        If it has too many cells.
-    """
+    """Keep the heightmap in the field `file` of a form."""
     upload = form.get("file")
     if not isinstance(upload, UploadFile):
         raise InputError("the form has no file: send the heightmap as the field `file`", field="file")
@@ -159,64 +67,14 @@ async def take_form(
 
 
 async def take_raw_run(request: Request, service: Service, *, name: str, **how: Any) -> RunsRow:
-    """Keep the run that is the whole body of a request.
-
-    Parameters
-    ----------
-    request : Request
-        The request at hand.
-    service : Service
-        Where it is kept.
-    name : str
-        Name of the run.
-    **how
-        As in `Service.keep_runs`.
-
-    Returns
-    -------
-    RunsRow
-        The new row.
-
-    Raises
-    ------
-    RunsError
-        If it cannot be read.
-    TooLargeError
-        If it is larger than the limits.
-    """
+    """Keep the run that is the whole body of a request."""
     with service.store.upload_file() as path:
         await _receive(request, path)
         return await unless_gone(request, service.keep_runs([(name, path)], **how))
 
 
 async def take_runs(request: Request, form: FormData, service: Service, **how: Any) -> RunsRow:
-    """Keep the runs in the fields `file` of a form: all of them or none.
-
-    Parameters
-    ----------
-    request : Request
-        The request at hand.
-    form : FormData
-        The form.
-    service : Service
-        Where they are kept.
-    **how
-        As in `Service.keep_runs`.
-
-    Returns
-    -------
-    RunsRow
-        The new row.
-
-    Raises
-    ------
-    InputError
-        If the form has no file, or another field.
-    RunsError
-        If a run cannot be read.
-    TooLargeError
-        If a run is larger than the limits.
-    """
+    """Keep the runs in the fields `file` of a form: all of them or none."""
     uploads = form.getlist("file")
     other = sorted({key for key in form if key != "file"})
     if other:

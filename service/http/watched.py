@@ -24,22 +24,7 @@ _FOLDERS_S = 300.0  # between looks at the sizes of all files, of which there ma
 
 
 class Looked:
-    """What the latest looks at the database and the data directory found.
-
-    Parameters
-    ----------
-    store : Store
-        Open by the time of the first look.
-    folder : Path
-        The data directory.
-
-    Attributes
-    ----------
-    jobs : dict of (str, str) to int
-        Number of jobs by kind in words and status.
-    bytes : dict of str to int
-        Size by folder of the data directory.
-    """
+    """What the latest looks at the database and the data directory found."""
 
     def __init__(self, store: Store, folder: Path) -> None:
         self._store, self._folder = store, folder
@@ -47,13 +32,7 @@ class Looked:
         self.bytes: dict[str, int] = {}
 
     def at_database(self) -> None:
-        """Count the jobs.
-
-        Raises
-        ------
-        OSError
-            If the database does not answer.
-        """
+        """Count the jobs."""
         found: dict[tuple[str, str], int] = {}
         try:
             with self._store.sessions() as session:
@@ -65,36 +44,14 @@ class Looked:
         self.jobs = found
 
     def at_files(self) -> None:
-        """Sum the sizes of all files.
-
-        Raises
-        ------
-        OSError
-            If the data directory cannot be read.
-        """
+        """Sum the sizes of all files."""
         self.bytes = {place.name: bytes_of(place) for place in self._folder.iterdir() if place.is_dir()}
 
 
 def watch(
     settings: Settings, store: Store, *, health: Health, metrics: Metrics, maps: OpenMaps, queues: list[WorkQueue]
 ) -> None:
-    """Add the checks and the numbers that every service has.
-
-    Parameters
-    ----------
-    settings : Settings
-        Whose data directory and limits count.
-    store : Store
-        Open by the time `health` is started.
-    health : Health
-        Gets the checks ``database``, ``disk`` and ``files``.
-    metrics : Metrics
-        Gets the numbers.
-    maps : OpenMaps
-        Cost maps in memory.
-    queues : list of WorkQueue
-        All queues.
-    """
+    """Add the checks and the numbers that every service has."""
     looked = Looked(store, settings.data_dir)
     health.add("database", looked.at_database)
     health.add("disk", disk_check(settings.data_dir, least_free_bytes=int(settings.min_free_mb * 1e6)))
@@ -125,20 +82,7 @@ def watch(
 
 @asynccontextmanager
 async def on_the_loop(metrics: Metrics, queues: Iterable[WorkQueue]) -> AsyncIterator[None]:
-    """Measure the event loop's stalls meanwhile, and end the work of all queues at the end.
-
-    Parameters
-    ----------
-    metrics : Metrics
-        Where the stalls are counted.
-    queues : iterable of WorkQueue
-        All queues.
-
-    Yields
-    ------
-    None
-        Nothing.
-    """
+    """Measure the event loop's stalls meanwhile, and end the work of all queues at the end."""
     watching = asyncio.create_task(metrics.watch_loop())
     try:
         yield

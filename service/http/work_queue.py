@@ -43,23 +43,6 @@ class WorkQueue:
 
     All its methods are called on one event loop, so it needs no lock. Work runs under a flag of `planner.stopping`:
     searches look at it, and it is set when the caller is cancelled. Work that waits then is never begun.
-
-    Parameters
-    ----------
-    name : str
-        What waits in it, in words and in metrics.
-    threads : int
-        Most pieces of work at a time.
-    per_group : int
-        Most that wait in one group.
-    overall : int
-        Most that wait in all groups.
-    share_cores : int, optional
-        Cores that the pieces of work at a time share for inner threads; each has at least one.
-    one_at_a_time : callable, optional
-        Whether only one piece of work of a group may run now, for example the one that loads its cost map.
-    observe : callable, optional
-        Is told of every piece of work that has ended.
     """
 
     def __init__(
@@ -95,25 +78,7 @@ class WorkQueue:
         return len(self._running)
 
     async def do(self, group: str, work: Callable[[], Result]) -> Result:
-        """Return the result of some work; if the caller is cancelled, the work ends or is never begun.
-
-        Parameters
-        ----------
-        group : str
-            Whose turn it is taken in: the id of a cost map.
-        work : callable
-            Without arguments; done on a thread.
-
-        Returns
-        -------
-        object
-            What it returns. What it raises is raised here.
-
-        Raises
-        ------
-        BusyError
-            If too much work waits, or the service stops.
-        """
+        """Return the result of some work; if the caller is cancelled, the work ends or is never begun."""
         self._check_room(group)
         made = _Work(group, work, asyncio.get_running_loop().create_future(), contextvars.copy_context())
         self._waiting.setdefault(group, deque()).append(made)

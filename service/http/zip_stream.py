@@ -36,16 +36,6 @@ def zip_folder(folder: Path) -> Iterator[bytes]:
     """Return a folder as a zip archive, chunk by chunk.
 
     Files are stored, not compressed: the chunks of a lattice are compressed already.
-
-    Parameters
-    ----------
-    folder : Path
-        Every file below it is added, under its path relative to the folder's parent.
-
-    Yields
-    ------
-    bytes
-        The next part of the archive.
     """
     sink = _Sink()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_STORED) as archive:

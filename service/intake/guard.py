@@ -28,18 +28,7 @@ _CELLS_PER_S = 1e7  # a heightmap is compressed at twice this speed
 
 @cache
 def prepared(task: str) -> Callable[..., dict[str, Any]]:
-    """Return the function of a task, once all is loaded that it needs, so that no file pays for it.
-
-    Parameters
-    ----------
-    task : str
-        "heightmap" or "run".
-
-    Returns
-    -------
-    callable
-        It reads a file.
-    """
+    """Return the function of a task, once all is loaded that it needs, so that no file pays for it."""
     if task == "heightmap":
         from joulemap.service.intake import maps
 
@@ -52,21 +41,7 @@ def prepared(task: str) -> Callable[..., dict[str, Any]]:
 
 
 def read(task: str, arguments: str) -> str:
-    """Read one file.
-
-    Parameters
-    ----------
-    task : str
-        "heightmap" or "run".
-    arguments : str
-        JSON object: the arguments of the task's function, `limits`, the fields of `ReadLimits`, and `scratch`, a
-        folder for temporary files.
-
-    Returns
-    -------
-    str
-        JSON object: `result`, or `error` with `code`, `message` and `context`.
-    """
+    """Read one file. Result: JSON object: `result`, or `error` with `code`, `message` and `context`."""
     function = prepared(task)
     given = json.loads(arguments)
     limits = ReadLimits(**given.pop("limits"))
@@ -111,18 +86,7 @@ class _Guard:
 
 @contextmanager
 def limited(limits: ReadLimits) -> Iterator[None]:
-    """Limit this process while a block of code runs; the system ends it where it takes more time.
-
-    Parameters
-    ----------
-    limits : ReadLimits
-        Processor time from now on, and memory beyond that of now.
-
-    Yields
-    ------
-    None
-        While they hold.
-    """
+    """Limit this process while a block of code runs; the system ends it where it takes more time."""
     before = {kind: resource.getrlimit(kind) for kind in (resource.RLIMIT_CPU, resource.RLIMIT_DATA)}
     used = time.process_time()
     _lower(resource.RLIMIT_CPU, math.ceil(used + limits.seconds))

@@ -32,39 +32,7 @@ def import_logs(
     picture: bool = False,
     report: Callable[[float], None] = lambda share: None,
 ) -> list[dict[str, Any]]:
-    """Read logs and write each as a CSV file that `--runs` takes.
-
-    Parameters
-    ----------
-    files : sequence of (str, Path)
-        Name and place of each; the names are those of the CSV files, without their ending.
-    out : Path, optional
-        Folder to write to; None writes nothing.
-    mapping : mapping of str to str
-        Where joulemap's columns are taken from, as `read_mapping` returns it.
-    odometry : Odometry, optional
-        How logs without positions are judged.
-    accept_implausible : bool, optional
-        Whether numbers are kept that are hardly in the units that they are read in.
-    memory_mb : float, optional
-        Memory that reading one log may take [1e6 bytes].
-    picture : bool, optional
-        Whether the answers have the track for a drawing, as `read_sent_run`.
-    report : callable, optional
-        Called with the share that is done, 0..1.
-
-    Returns
-    -------
-    list of dict
-        What was read of each, as `read_sent_run` returns it, and the file that was written as `out`.
-
-    Raises
-    ------
-    RunsError
-        If a log cannot be used; nothing is written then.
-    TooLargeError
-        If a log needs more time or memory than the limits.
-    """
+    """Read logs and write each as a CSV file that `--runs` takes. `out`: folder to write to, None writes nothing."""
     limits = RunLimits(_LARGEST_MB, LIMITS.rows, LIMITS.columns, LIMITS.cells, LIMITS.text_mb, _LONGEST_KM)
     asked = {
         "limits_of_run": asdict(limits),

@@ -24,18 +24,7 @@ class ReadLimits:
     memory_mb: float
 
     def of_file(self, size: int) -> ReadLimits:
-        """Return the limits of a file.
-
-        Parameters
-        ----------
-        size : int
-            Its length [bytes].
-
-        Returns
-        -------
-        ReadLimits
-            With more time for a large one.
-        """
+        """Return the limits of a file. `size`: its length [bytes]."""
         return ReadLimits(self.seconds + size / 1e6 / _MB_PER_S, self.memory_mb)
 
     @property

@@ -16,56 +16,16 @@ class Guard(Protocol):
     """Limits that hold while a block of code runs."""
 
     def reading(self, path: Path) -> AbstractContextManager[None]:
-        """Return the limits for reading a file.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-        """
+        """Return the limits for reading a file."""
 
     def keeping(self, cells: int) -> AbstractContextManager[None]:
-        """Return the limits for work on what was read.
-
-        Parameters
-        ----------
-        cells : int
-            How much it is.
-        """
+        """Return the limits for work on what was read."""
 
 
 def read_map(
     *, guard: Guard, path: str, out: str, name: str, max_cells: int, options: dict[str, Any]
 ) -> dict[str, Any]:
-    """Read a heightmap and write it as a GeoTIFF.
-
-    Parameters
-    ----------
-    guard : Guard
-        Limits.
-    path : str
-        The file that was sent.
-    out : str
-        The GeoTIFF to write.
-    name : str
-        Its name for people, whose ending may say the format.
-    max_cells : int
-        Most cells.
-    options : dict
-        Those of `read_heightmap`.
-
-    Returns
-    -------
-    dict
-        What a listing says about it, JSON-able.
-
-    Raises
-    ------
-    HeightmapError
-        If it is not a heightmap that can be used.
-    TooLargeError
-        If it has too many cells.
-    """
+    """Read a heightmap and write it as a GeoTIFF. Result: what a listing says about it, JSON-able."""
     with guard.reading(Path(path)):
         heightmap = read_sent(path, filename=name, max_cells=max_cells, **options)
     with guard.keeping(heightmap.heights.size):

@@ -31,22 +31,7 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NU
 
 
 class Readers:
-    """Reads files in other processes, a few at a time; `close` it at the end.
-
-    Parameters
-    ----------
-    processes : int
-        Most at a time.
-    queue : int
-        Most files that wait.
-    limits : ReadLimits
-        Of each file.
-
-    Attributes
-    ----------
-    refused : int
-        Files that found the queue full.
-    """
+    """Reads files in other processes, a few at a time; `close` it at the end."""
 
     def __init__(self, *, processes: int, queue: int, limits: ReadLimits) -> None:
         self._queue = queue
@@ -101,29 +86,7 @@ class Readers:
         return self._limiter.statistics().borrowed_tokens
 
     async def read(self, task: str, **arguments: Any) -> dict[str, Any]:
-        """Read one file; if the caller is cancelled, the process that reads it is killed.
-
-        Parameters
-        ----------
-        task : str
-            "heightmap" or "run".
-        **arguments
-            JSON-able, of the task's function; `name` is what messages call the file.
-
-        Returns
-        -------
-        dict
-            What the task's function returns.
-
-        Raises
-        ------
-        JoulemapError
-            What reading the file raises; InputError of some kind where the reader is confused by it.
-        TooLargeError
-            If it takes more time or memory than the limits.
-        BusyError
-            If too many files wait.
-        """
+        """Read one file; if the caller is cancelled, the process that reads it is killed."""
         if self.waiting >= self._queue:
             self.refused += 1
             raise BusyError(

@@ -33,17 +33,7 @@ _POINTS_DRAWN = 2_000
 def check_together(runs: Sequence[Mapping[str, Any]], ground: Mapping[str, Any] | None) -> None:
     """Refuse runs that do not lie on their heightmap.
 
-    Parameters
-    ----------
-    runs : sequence of mapping
-        As `read_sent_run` returns them.
-    ground : mapping or None
-        ``bounds`` of the heightmap that they were driven on; None where it is not known.
-
-    Raises
-    ------
-    RunsError
-        If a run does not lie on the heightmap.
+    `ground`: ``bounds`` of the heightmap that they were driven on, None where it is not known.
     """
     for run in runs:
         if ground is not None and not run["placed"]:
@@ -89,47 +79,10 @@ def read_sent_run(
 ) -> dict[str, Any]:
     """Read one run, write it in joulemap's columns where it is in others, and return what it contains.
 
-    Parameters
-    ----------
-    guard : Guard
-        Limits of the process.
-    path : str
-        The file.
-    name : str
-        What to call it in messages.
-    limits_of_run : mapping
-        How large it may be: the fields of `RunLimits`.
-    crs : str, optional
-        Coordinate system of the heightmap, for columns ``lat`` and ``lon``.
-    odometry : mapping, optional
-        How a run without positions is read: the fields of `Odometry`.
-    mapping : mapping of str to str, optional
-        Where joulemap's columns are taken from, as `read_mapping` returns it.
-    out : str, optional
-        CSV file to write where the log is in another format, or in other columns or units; whole or not at all.
-    accept_implausible : bool, optional
-        Whether numbers are kept that are hardly in the units that they are read in.
-    any_place : bool, optional
-        Whether positions in degrees may lie anywhere; without a `crs` they are then judged in their UTM zone.
-    always : bool, optional
-        Whether `out` is written of a log in joulemap's own columns too.
-    picture : bool, optional
-        Whether the answer has the ``track``: x, y [m] and what is drawn [W or A], for a drawing.
-
-    Returns
-    -------
-    dict
-        JSON-able: rows, seconds, target, further columns, number of 1 m segments, ``repairs`` and ``left_out`` (counts
-        by rule), bounds [west, south, east, north] [m], odometry, format, ``reading`` (what was taken from where),
-        ``warnings``, metres, median of the energy per metre, and whether `out` was ``written``.
-
-    Raises
-    ------
-    TooLargeError
-        If it is larger than the limits.
-    RunsError
-        If nothing can be read, if its numbers cannot be in the units that they are read in, or if it contains no
-        segment.
+    `picture`: whether the answer has the ``track``: x, y [m] and what is drawn [W or A], for a drawing. Result:
+    JSON-able: rows, seconds, target, further columns, number of 1 m segments, ``repairs`` and ``left_out`` (counts by
+    rule), bounds [west, south, east, north] [m], odometry, format, ``reading`` (what was taken from where),
+    ``warnings``, metres, median of the energy per metre, and whether `out` was ``written``.
     """
     file, limits = Path(path), RunLimits(**limits_of_run)
     size = file.stat().st_size

@@ -28,13 +28,7 @@ _CHUNK = 1 << 16
 
 
 def main(control: socket.socket) -> None:
-    """Read files until the other end of a socket is closed.
-
-    Parameters
-    ----------
-    control : socket
-        Brings a socket for each file: its request, ended by a half close, goes in, and its answer comes out.
-    """
+    """Read files until the other end of a socket is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the service, which lets files in hand be read
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the forks
     for task in ("heightmap", "run"):

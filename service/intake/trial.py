@@ -27,24 +27,7 @@ LIMITS = ReadLimits(seconds=300.0, memory_mb=4_000.0)
 def refuse_deadly(
     files: Sequence[Path], *, mapping: Mapping[str, str] | None = None, limits: ReadLimits = LIMITS
 ) -> None:
-    """Refuse a log that ends the process that reads it, or takes more time or memory than the limits.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        Of any kind; texts are not looked at.
-    mapping : mapping of str to str, optional
-        Where columns are taken from, as `read_mapping` returns it.
-    limits : ReadLimits, optional
-        Of each file.
-
-    Raises
-    ------
-    RunsError
-        If there is one, or one that is broken.
-    TooLargeError
-        If one is larger than the limits.
-    """
+    """Refuse a log that ends the process that reads it, or takes more time or memory than the limits."""
     kinds = [format_of(file, file.name) for file in files]
     named = [each for each in zip(files, distinct_names(files), kinds, strict=True) if not each[2].text]
     if not named:

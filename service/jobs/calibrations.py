@@ -23,22 +23,7 @@ _LOOK_S = 1.0  # between looks how far a calibration is
 
 
 def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, Any]:
-    """Return what a worker is told of a calibration.
-
-    Parameters
-    ----------
-    store : Store
-        Open.
-    calibration_id : str
-        Id of what was asked for.
-    models_dir : Path
-        Folder of trained models; the calibrated model is put there under the id of its calibration.
-
-    Returns
-    -------
-    dict
-        JSON-able: files, names and settings.
-    """
+    """Return what a worker is told of a calibration. Result: JSON-able: files, names and settings."""
 
     def _files(sent: list[str]) -> list[str]:
         return [str(file.resolve()) for runs in sent for file in store.run_files(runs)]
@@ -72,31 +57,7 @@ def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, A
 
 
 async def make(client: Client, order: dict[str, Any], *, key: str, priority: float, report: Report) -> dict[str, Any]:
-    """Calibrate on a cluster.
-
-    Parameters
-    ----------
-    client : Client
-        Of the cluster, in the loop that runs.
-    order : dict
-        As of `order_of`.
-    key : str
-        Of the task.
-    priority : float
-        Tasks with a higher one come first.
-    report : callable
-        Is told the share that is done, again and again.
-
-    Returns
-    -------
-    dict
-        The report and the id of the model.
-
-    Raises
-    ------
-    Refused
-        If the runs cannot be calibrated.
-    """
+    """Calibrate on a cluster."""
     topic, share = f"{key}-progress", -1.0
 
     def _take(event: tuple[float, float]) -> None:

@@ -24,24 +24,7 @@ Report = Callable[[float], Awaitable[None]]
 def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | VaultedOrder:
     """Return the order of a cost map for its workers, after making the folder of its notes.
 
-    Parameters
-    ----------
-    store : Store
-        Open.
-    costmap_id : str
-        Id of what was asked for.
-    models_dir : Path
-        Folder of trained models.
-
-    Returns
-    -------
-    MapOrder or VaultedOrder
-        With places that do not depend on where a worker runs.
-
-    Raises
-    ------
-    NotFoundError
-        If it was deleted.
+    Result: with places that do not depend on where a worker runs. Raises NotFoundError if it was deleted.
     """
     row = store.costmap(costmap_id)
     asked = row.request
@@ -72,26 +55,7 @@ def _intact(store: Store, costmap_ids: Iterable[str]) -> Iterator[Path]:
 async def make(
     client: Client, order: MapOrder | VaultedOrder, *, key: str, priority: float = 0.0, report: Report
 ) -> Any:
-    """Make a cost map on a cluster.
-
-    Parameters
-    ----------
-    client : Client
-        Of the cluster, in the loop that runs.
-    order : MapOrder or VaultedOrder
-        What is to be made.
-    key : str
-        Beginning of the keys of its tasks. A task that two clients ask for is done once.
-    priority : float, optional
-        Tasks with a higher one come first.
-    report : callable
-        Is told the share that is done, again and again.
-
-    Returns
-    -------
-    dict
-        What `finish` returns.
-    """
+    """Make a cost map on a cluster."""
     from distributed import as_completed
 
     work: Any = vaulted if isinstance(order, VaultedOrder) else tiles

@@ -39,17 +39,7 @@ _LATER = (errno.ENOSPC, errno.EDQUOT, errno.EHOSTUNREACH)  # a full disk, an obj
 
 
 class Jobs:
-    """The jobs of one service, and the cluster that makes them.
-
-    Parameters
-    ----------
-    store : Store
-        Open once `start` is called.
-    settings : Settings
-        Where the cluster is, and limits.
-    on_made : callable, optional
-        Is given the id of every job whose result is there, on another thread, before the job is noted as done.
-    """
+    """The jobs of one service, and the cluster that makes them."""
 
     def __init__(self, store: Store, settings: Settings, *, on_made: Callable[[str], object] | None = None) -> None:
         self._store, self._settings, self._on_made = store, settings, on_made

@@ -232,35 +232,7 @@ def calibrate_and_report(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> CalibrationResult:
-    """Calibrate on runs that are read already, and write the report beside the model.
-
-    Parameters
-    ----------
-    model : str or Path
-        Name or folder of the model to be calibrated.
-    runs : CalibrationRuns
-        What is learned from, compared with, and tested on.
-    out : Path
-        Folder for the report and the model.
-    task : pair of points, optional
-        Start and goal whose routes are compared.
-    campaigns, quick : bool, optional
-        As `calibrate`.
-    seed : int, optional
-        Of the places that are tried for the route and the next drive.
-    progress : callable, optional
-        Called with the share done, 0..1.
-
-    Returns
-    -------
-    CalibrationResult
-        As `calibrate`.
-
-    Raises
-    ------
-    RunsError, ConflictError, ModelError
-        As `calibrate`.
-    """
+    """Calibrate on runs that are read already, and write the report beside the model."""
     from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
     from joulemap.service.loop.report_page import report_page
 

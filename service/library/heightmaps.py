@@ -143,25 +143,7 @@ def heightmap_from_runs(
 
 
 def ground_of(ground: GroundLike) -> Heightmap:
-    """Return the heightmap that is meant.
-
-    Parameters
-    ----------
-    ground : Heightmap, str or Path
-        A heightmap, or the path of a file that says its cell size.
-
-    Returns
-    -------
-    Heightmap
-        Read where it was a path.
-
-    Raises
-    ------
-    HeightmapError
-        If a file cannot be read.
-    InputError
-        If it is something else.
-    """
+    """Return the heightmap that is meant."""
     if isinstance(ground, Heightmap):
         return ground
     if not isinstance(ground, str | Path):
@@ -175,22 +157,7 @@ def ground_of(ground: GroundLike) -> Heightmap:
 def robot_of(robot: RobotLike) -> Robot:
     """Return the robot that is meant.
 
-    Parameters
-    ----------
-    robot : Robot, mapping, str, Path or None
-        A robot, its fields, the path of its TOML file, or None for the built-in 35 kg rover.
-
-    Returns
-    -------
-    Robot
-        Checked.
-
-    Raises
-    ------
-    RobotError
-        On an unknown or impossible field.
-    InputError
-        If it is something else.
+    `robot`: a robot, its fields, the path of its TOML file, or None for the built-in 35 kg rover.
     """
     if robot is None:
         return Robot()

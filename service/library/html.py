@@ -7,20 +7,7 @@ from html import escape
 
 
 def html_table(title: str, rows: Mapping[str, str]) -> str:
-    """Return a title and a two-column table.
-
-    Parameters
-    ----------
-    title : str
-        Plain text.
-    rows : mapping of str to str
-        Names and values, plain text.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Return a title and a two-column table."""
     cells = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th><td style='text-align:left'>{escape(value)}</td></tr>"
         for name, value in rows.items()
@@ -29,19 +16,6 @@ def html_table(title: str, rows: Mapping[str, str]) -> str:
 
 
 def text_table(title: str, rows: Mapping[str, str]) -> str:
-    """Return a title and its rows, one a line.
-
-    Parameters
-    ----------
-    title : str
-        Plain text.
-    rows : mapping of str to str
-        Names and values.
-
-    Returns
-    -------
-    str
-        Several lines.
-    """
+    """Return a title and its rows, one a line."""
     width = max((len(name) for name in rows), default=0)
     return "\n".join([title, *(f"  {name:<{width}}  {value}" for name, value in rows.items())])

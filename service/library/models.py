@@ -32,20 +32,7 @@ ModelLike = str | Path | InFolder
 def model_folder(model: ModelLike) -> str | Path:
     """Return the name or folder of the model that is meant.
 
-    Parameters
-    ----------
-    model : str, Path, Model or CalibrationResult
-        A name, a folder, or what `train` and `calibrate` return.
-
-    Returns
-    -------
-    str or Path
-        As `joulemap.service.models.find_predictor` takes it.
-
-    Raises
-    ------
-    InputError
-        If a calibration found nothing, so that it has no model.
+    Result: as `joulemap.service.models.find_predictor` takes it.
     """
     return model if isinstance(model, str | Path) else model.folder
 

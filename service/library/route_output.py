@@ -20,26 +20,7 @@ if TYPE_CHECKING:
 def save_track(track: Track, path: str | Path, format: str | None, coordinates: str | None) -> Path:
     """Write a track for another program.
 
-    Parameters
-    ----------
-    track : Track
-        Of a route or a tour.
-    path : str or Path
-        The file; one that is there is replaced.
-    format : str or None
-        A name of `joulemap.service.exports.routes.ROUTE_FORMATS`; None where the suffix decides.
-    coordinates : str or None
-        Of GeoJSON: "wgs84" or "map".
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If the format is unknown, or the map has no CRS and the format needs degrees.
+    `format`: a name of `joulemap.service.exports.routes.ROUTE_FORMATS`, None where the suffix decides.
     """
     file = Path(path)
     file.write_bytes(route_file(track, route_format_of(file, format), coordinates=coordinates))
@@ -49,39 +30,13 @@ def save_track(track: Track, path: str | Path, format: str | None, coordinates: 
 def route_numbers(route: Route) -> dict[str, float]:
     """Return the numbers by which a route is told in words and tables.
 
-    Parameters
-    ----------
-    route : Route
-        From the planner.
-
-    Returns
-    -------
-    dict
-        `energy_j` [J], `length_m` [m] and `duration_s` [s].
+    Result: `energy_j` [J], `length_m` [m] and `duration_s` [s].
     """
     return {"energy_j": route.energy_j, "length_m": route.length_m, "duration_s": route.duration_s}
 
 
 def geodataframe(routes: Sequence[tuple[str, Route]], crs: str | None) -> GeoDataFrame:
-    """Return routes as a table with a geometry.
-
-    Parameters
-    ----------
-    routes : sequence of (str, Route)
-        Kind and route of each row.
-    crs : str or None
-        Of their points.
-
-    Returns
-    -------
-    geopandas.GeoDataFrame
-        A row each.
-
-    Raises
-    ------
-    InputError
-        If geopandas is not installed.
-    """
+    """Return routes as a table with a geometry."""
     try:
         from geopandas import GeoDataFrame
         from shapely import LineString

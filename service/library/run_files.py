@@ -136,34 +136,8 @@ def find_run_files(
 ) -> list[Path]:
     """Return the files that are meant, each once.
 
-    Parameters
-    ----------
-    files : str, Path, sequence of these, Runs or None
-        Files, folders (every log in them) or patterns. None means no file.
-    mapping : mapping of str to str, optional
-        Where columns are taken from, as `read_mapping` returns it.
-    trial : bool, optional
-        Whether those that are no texts are read on trial in a process of limited time and memory, because the caller
-        reads them in its own.
-
-    Returns
-    -------
-    list of Path
-        In the order given, sorted within each pattern; of files with one content the first.
-
-    Raises
-    ------
-    NotFoundError
-        If one of them names no file.
-    RunsError
-        If one of them is broken, or ends the process that reads it.
-    TooLargeError
-        If reading one of them takes more time or memory than the limits.
-
-    Warns
-    -----
-    UserWarning
-        If a file is a copy of another one.
+    `files`: None means no file. Result: in the order given, sorted within each pattern; of files with one content the
+    first. Raises NotFoundError if one of them names no file.
     """
     if files is None:
         return []

@@ -20,27 +20,7 @@ _SITE_KEYS = ("heightmap", "runs", "robot", "baseline")
 
 
 def sites_of(sites: Sequence[SiteLike], *, robot: RobotLike = None) -> list[Site]:
-    """Return the sites that are meant.
-
-    Parameters
-    ----------
-    sites : sequence of tuple
-        (heightmap, runs), or (heightmap, runs, robot) where another robot drove.
-    robot : Robot, mapping, str, Path or None, optional
-        The robot of the sites that name none.
-
-    Returns
-    -------
-    list of Site
-        In their order.
-
-    Raises
-    ------
-    InputError
-        If one is no such tuple.
-    NotFoundError
-        If runs are not there.
-    """
+    """Return the sites that are meant. Raises NotFoundError if runs are not there."""
     usual = robot_of(robot)
     found = []
     for number, site in enumerate(sites, start=1):
@@ -65,31 +45,7 @@ def sites_given(
     campaign: str | Path | None = None,
     robot: RobotLike = None,
 ) -> list[Site]:
-    """Return the sites of a call that takes one heightmap with its runs, or several, or a campaign file.
-
-    Parameters
-    ----------
-    ground : Heightmap, str or Path, optional
-        Of the runs.
-    runs : Runs, str, Path or sequence of these, optional
-        On it.
-    sites : sequence of tuple, optional
-        As `sites_of`.
-    campaign : str or Path, optional
-        As `read_campaign`.
-    robot : Robot, mapping, str, Path or None, optional
-        Of the sites that name none.
-
-    Returns
-    -------
-    list of Site
-        At least one.
-
-    Raises
-    ------
-    InputError
-        If none or several ways are used, or there is no site.
-    """
+    """Return the sites of a call that takes one heightmap with its runs, or several, or a campaign file."""
     ways = [ground is not None or runs is not None, sites is not None, campaign is not None]
     if sum(ways) != 1 or (ways[0] and runs is None):
         raise InputError("give a heightmap and its runs, or `sites`, or a `campaign` file")
@@ -106,22 +62,7 @@ def sites_given(
 def sites_of_options(values: Sequence[str]) -> list[tuple[Path, list[str]]]:
     """Return heightmaps and runs of values like `dem.tif=runs/*.csv`.
 
-    Parameters
-    ----------
-    values : sequence of str
-        Each is HEIGHTMAP=RUNS, or further runs of the heightmap before it.
-
-    Returns
-    -------
-    list of (Path, list of str)
-        The heightmap and the patterns of its runs, in order.
-
-    Raises
-    ------
-    InputError
-        If the first value names no heightmap, or a heightmap has no runs.
-    NotFoundError
-        If a heightmap is not there.
+    Raises NotFoundError if a heightmap is not there.
     """
     sites: list[tuple[Path, list[str]]] = []
     for value in values:
@@ -148,24 +89,7 @@ def read_campaign(path: str | Path, *, robot: RobotLike = None) -> list[Site]:
     runs of a calibration; such a site may lack `runs`) and, if another robot drove there, `robot`. The key `robot` at
     the top names the robot of all other sites. Paths are relative to the file.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    robot : Robot, mapping, str, Path or None, optional
-        The robot of the sites, where the file names none.
-
-    Returns
-    -------
-    list of Site
-        In the order of the file.
-
-    Raises
-    ------
-    NotFoundError
-        If the file, or one that it names, is not there.
-    InputError
-        If it is no such file.
+    Raises NotFoundError if the file, or one that it names, is not there.
     """
     path = Path(path)
     try:

@@ -18,37 +18,13 @@ _NUMBERS = count(1)
 def is_table(given: Any) -> bool:
     """Decide whether something is a table.
 
-    Parameters
-    ----------
-    given : object
-        What was given as runs.
-
-    Returns
-    -------
-    bool
-        True for a data frame of pandas or polars, a table of pyarrow, and a mapping.
+    Result: True for a data frame of pandas or polars, a table of pyarrow, and a mapping.
     """
     return isinstance(given, Mapping) or (hasattr(given, "columns") and hasattr(given, "__getitem__"))
 
 
 def kept_table(table: Any) -> Path:
-    """Write a table to a folder that is gone when the process ends.
-
-    Parameters
-    ----------
-    table : object
-        As `is_table` takes it.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    RunsError
-        If it has columns of different lengths, or of what is neither numbers, nor times, nor texts.
-    """
+    """Write a table to a folder that is gone when the process ends."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -70,18 +46,7 @@ def kept_table(table: Any) -> Path:
 
 
 def is_kept(path: Path) -> bool:
-    """Decide whether a file is one of `kept_table`.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    bool
-        True where this process wrote it.
-    """
+    """Decide whether a file is one of `kept_table`."""
     return path.parent == _folder()
 
 

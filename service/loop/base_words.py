@@ -26,33 +26,14 @@ _BASE = {
 
 
 def base_name(key: str) -> str:
-    """Return what a reader calls a base parameter.
-
-    Parameters
-    ----------
-    key : str
-        Its name in the report.
-
-    Returns
-    -------
-    str
-        Part of a sentence.
-    """
+    """Return what a reader calls a base parameter."""
     return _BASE.get(key, key.replace("_", " "))
 
 
 def base_words(document: Mapping[str, Any]) -> list[str]:
     """Return what the runs say of the base model's own parameters.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of str
-        One line for each that the runs show: what was declared, what the runs say, and its 95 % interval.
+    Result: one line for each that the runs show: what was declared, what the runs say, and its 95 % interval.
     """
     lines = []
     for parameter in document["base_parameters"]:
@@ -71,16 +52,8 @@ def base_words(document: Mapping[str, Any]) -> list[str]:
 def is_shown(parameter: Mapping[str, Any]) -> bool:
     """Return whether the runs say anything of a base parameter.
 
-    Parameters
-    ----------
-    parameter : mapping
-        From the report.
-
-    Returns
-    -------
-    bool
-        False where the interval is wider than the value and than 1, and where nothing in the runs depends on it: then
-        the interval has no width.
+    Result: False where the interval is wider than the value and than 1, and where nothing in the runs depends on it:
+    then the interval has no width.
     """
     half = 0.5 * (parameter["ci95"][1] - parameter["ci95"][0])
     return _NOTHING < half <= max(1.0, abs(parameter["value"]))

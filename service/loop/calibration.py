@@ -76,41 +76,8 @@ def calibrate_on_runs(
 ) -> Calibrated:
     """Find what a model lacks on measured runs, and write the calibrated model to `out/model`.
 
-    Parameters
-    ----------
-    model : str or Path
-        Name or folder of the base model.
-    runs : CalibrationRuns
-        Of one robot, on one map or several. Without baseline runs, those in the model's folder are used.
-    out : Path
-        Folder to write to.
-    task : tuple of tuple of float, optional
-        Start and goal [m] whose routes before and after are compared, see `compare_routes`; on the map with the most
-        metres driven.
-    groups : sequence of str, optional
-        Of each run, such as its campaign: groups are left out together.
-    cross_validate : bool
-        Repeat the whole procedure without each group of runs for the errors.
-    seed : int
-        Of the places that are tried for a task.
-    progress : callable, optional
-        Called with the share of the work that is done, 0..1.
-
-    Returns
-    -------
-    Calibrated
-        With the report.
-
-    Raises
-    ------
-    ConflictError
-        If `out/model` exists already: a model version is never changed.
-    InputError
-        If the model is calibrated already.
-    RunsError
-        If the runs do not fit the heightmap, or are too short.
-    ModelError
-        If the model cannot be read.
+    `task`: start and goal [m] whose routes before and after are compared, see `compare_routes`, on the map with the
+    most metres driven. Raises ConflictError if `out/model` exists already: a model version is never changed.
     """
     target = out / CALIBRATED_FOLDER
     if target.exists():
@@ -239,20 +206,7 @@ def _part(progress: Callable[[float], None] | None, start: float, end: float) ->
 def campaigns_of(runs: Sequence[str]) -> list[str]:
     """Return the campaign that each run belongs to, by its name.
 
-    Parameters
-    ----------
-    runs : sequence of str
-        Names of runs.
-
-    Returns
-    -------
-    list of str
-        The date in the name, or else the part of the name before the last underscore.
-
-    Raises
-    ------
-    InputError
-        If all runs belong to one campaign.
+    Result: the date in the name, or else the part of the name before the last underscore.
     """
     names = []
     for run in runs:
@@ -268,20 +222,7 @@ def campaigns_of(runs: Sequence[str]) -> list[str]:
 
 
 def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
-    """Refuse a model that is calibrated already.
-
-    Parameters
-    ----------
-    model : str or Path
-        What it is called.
-    predictor : Predictor
-        The model.
-
-    Raises
-    ------
-    InputError
-        If it is calibrated.
-    """
+    """Refuse a model that is calibrated already."""
     if isinstance(predictor, CalibratedPredictor):
         raise InputError(
             f"{model} is calibrated already: calibrate the model that it was made from again, with all runs together"
@@ -293,21 +234,8 @@ def correction_of(
 ) -> Correction:
     """Return what a calibration adds to its base model.
 
-    Parameters
-    ----------
-    found : Calibration
-        What was found.
-    std_j : ndarray, (n,)
-        Standard deviation of the base model for each of the calibration's rows [J].
-    groups : sequence of str, optional
-        Of each run, such as its campaign: what was left out together.
-    declared_turn : float
-        Cost of turning in plans with the base model [J/rad].
-
-    Returns
-    -------
-    Correction
-        With the spread of the calibrated model on left-out runs, where there are enough segments.
+    `std_j` (n,); `declared_turn`: cost of turning in plans with the base model [J/rad]. Result: with the spread of the
+    calibrated model on left-out runs, where there are enough segments.
     """
     rows, moving = found.residuals.features, found.residuals.moving
     conditions = {k: float(np.nanmean(v)) for k, v in rows.columns.items() if np.isfinite(v).any()}

@@ -12,17 +12,6 @@ FORMER_KEYS = {
 
 
 def with_former_keys(document: dict[str, Any]) -> dict[str, Any]:
-    """Return a document that has its renamed values under their former keys too.
-
-    Parameters
-    ----------
-    document : dict
-        A report, or a suggested drive; values that are dictionaries are looked through as well.
-
-    Returns
-    -------
-    dict
-        A copy.
-    """
+    """Return a document that has its renamed values under their former keys too."""
     out = {key: with_former_keys(value) if isinstance(value, dict) else value for key, value in document.items()}
     return out | {former: out[key] for key, former in FORMER_KEYS.items() if key in out}

@@ -16,15 +16,7 @@ _SAME = 0.005  # of what turning costs in plans: less than this is no further pa
 def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float], list[list[float]]]:
     """Return a fitted curve of a report.
 
-    Parameters
-    ----------
-    effect : mapping
-        Of the form `curve`.
-
-    Returns
-    -------
-    tuple of list
-        Values of the covariate, what is added there, and its 95 % intervals.
+    Result: values of the covariate, what is added there, and its 95 % intervals.
     """
     knots = list(effect["settings"]["knots"])
     points = [(c["value"], list(c["ci95"])) for c in effect["coefficients"]]
@@ -36,15 +28,7 @@ def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float], l
 def is_centred(curve: Mapping[str, Any]) -> bool:
     """Return whether a fitted curve is nil at its middle point.
 
-    Parameters
-    ----------
-    curve : mapping
-        From the report, of the form `curve`.
-
-    Returns
-    -------
-    bool
-        False where baseline runs say where it is nil.
+    Result: False where baseline runs say where it is nil.
     """
     return bool(curve["settings"].get("centred", True))  # not in reports of older versions
 
@@ -52,15 +36,7 @@ def is_centred(curve: Mapping[str, Any]) -> bool:
 def found_words(document: Mapping[str, Any]) -> list[str]:
     """Return what was found, with coefficients and 95 % intervals.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of str
-        Sentences: first how many effects, then one paragraph for each.
+    Result: sentences: first how many effects, then one paragraph for each.
     """
     model, effects = document["model"]["before"]["name"], document["effects"]
     if not effects:
@@ -98,15 +74,7 @@ def _plan_words(effect: Mapping[str, Any]) -> list[str]:
 def is_log_fault(effect: Mapping[str, Any]) -> bool:
     """Return whether an effect is a fault of the log, such as a late meter, and nothing that costs energy.
 
-    Parameters
-    ----------
-    effect : mapping
-        From the report.
-
-    Returns
-    -------
-    bool
-        True for a form that no plan may contain.
+    Result: True for a form that no plan may contain.
     """
     return not FORMS[effect["form"]].on_map
 
@@ -144,16 +112,8 @@ def _turning_words(document: Mapping[str, Any]) -> str:
 def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
     """Return the coefficients of an effect with their 95 % intervals.
 
-    Parameters
-    ----------
-    effect : mapping
-        From the report.
-
-    Returns
-    -------
-    list of str
-        Of a curve its ends; of other effects with many coefficients the smallest and the largest; of a field over the
-        map, whose values mean something together only, their number.
+    Result: of a curve its ends; of other effects with many coefficients the smallest and the largest; of a field over
+    the map, whose values mean something together only, their number.
     """
     found = effect["coefficients"]
     if effect["form"] == "curve":
@@ -175,15 +135,7 @@ def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
 def labels_of(document: Mapping[str, Any]) -> dict[str, str]:
     """Return what a reader calls each effect of a report.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    dict of str to str
-        Name -> label, of the candidates and of the effects found.
+    Result: name -> label, of the candidates and of the effects found.
     """
     return {row["name"]: row["label"] for row in (*document["candidates"], *document["effects"])}
 
@@ -191,15 +143,7 @@ def labels_of(document: Mapping[str, Any]) -> dict[str, str]:
 def confounded_words(document: Mapping[str, Any]) -> list[str]:
     """Return what these runs cannot distinguish, and what would.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of str
-        A line for each effect that another candidate would replace as well.
+    Result: a line for each effect that another candidate would replace as well.
     """
     labels, lines = labels_of(document), []
     for name, *rivals in document["confounded"]:

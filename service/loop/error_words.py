@@ -10,34 +10,12 @@ from joulemap.service.words import percent
 
 
 def unit_of(document: Mapping[str, Any]) -> str:
-    """Return the unit of measured and predicted values.
-
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    str
-        Ampere seconds where no voltage was logged.
-    """
+    """Return the unit of measured and predicted values. Result: ampere seconds where no voltage was logged."""
     return "A s" if document["target"] == "charge_as" else "J"
 
 
 def variation_words(document: Mapping[str, Any]) -> str:
-    """Return by how much runs differ for no known reason.
-
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    str
-        A sentence.
-    """
+    """Return by how much runs differ for no known reason."""
     share = document["variation"]["run_share"]
     if len(document["runs"]["names"]) < 2:
         return "One run alone does not show how much runs differ."
@@ -49,15 +27,7 @@ def variation_words(document: Mapping[str, Any]) -> str:
 def validation_words(document: Mapping[str, Any]) -> str:
     """Return on what the errors were measured.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    str
-        Part of a sentence, such as "on runs that had no part in the calibration".
+    Result: part of a sentence, such as "on runs that had no part in the calibration".
     """
     found = document["validation"]
     if not found["whole_procedure"]:
@@ -69,15 +39,7 @@ def validation_words(document: Mapping[str, Any]) -> str:
 def error_words(document: Mapping[str, Any]) -> list[str]:
     """Return how much better the calibrated model predicts.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of str
-        Sentences: on test runs where there are some; on the runs themselves; and how far these may be trusted.
+    Result: sentences: on test runs where there are some; on the runs themselves; and how far these may be trusted.
     """
     lines = []
     if test := document.get("test_set"):
@@ -114,15 +76,7 @@ _PLANS = {
 def plan_words(document: Mapping[str, Any]) -> list[str]:
     """Return what plans are made with, and why; and whether it is right on average.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of str
-        Sentences, with the errors of all that was tried on the same metres; none where no run was left out.
+    Result: sentences, with the errors of all that was tried on the same metres; none where no run was left out.
     """
     if not document["validation"]["whole_procedure"]:
         return []
@@ -151,15 +105,7 @@ def plan_words(document: Mapping[str, Any]) -> list[str]:
 def unknown_words(document: Mapping[str, Any]) -> list[str]:
     """Return how much of the error of plans comes from what only a log knows.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of str
-        A sentence; none where plans know of every effect, or where no whole run was left out.
+    Result: a sentence; none where plans know of every effect, or where no whole run was left out.
     """
     error, known = document["error"], document["validation"]
     names = [effect["label"] for effect in document["effects"] if not effect["in_plans"]]
@@ -179,15 +125,7 @@ def unknown_words(document: Mapping[str, Any]) -> list[str]:
 def odds_words(document: Mapping[str, Any]) -> list[str]:
     """Return whether the odds of the calibrated model were right on runs that had no part in them.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of str
-        Sentences; none where too few runs were left out.
+    Result: sentences; none where too few runs were left out.
     """
     if not (found := document.get("reliability")) or not document["validation"]["whole_procedure"]:
         return []
@@ -202,18 +140,7 @@ def odds_words(document: Mapping[str, Any]) -> list[str]:
 
 
 def level_words(document: Mapping[str, Any]) -> list[str]:
-    """Return what runs on level ground do not say.
-
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of str
-        A sentence; none where the runs have slopes.
-    """
+    """Return what runs on level ground do not say."""
     if not document["level_ground"]:
         return []
     return ["All runs are on level ground, which says nothing of slopes: a climb costs what the model before says."]
@@ -222,15 +149,7 @@ def level_words(document: Mapping[str, Any]) -> list[str]:
 def advice(document: Mapping[str, Any]) -> str:
     """Return whether to keep the model before.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    str
-        A sentence; empty where the calibrated model is confirmed, or where a quick calibration does not say.
+    Result: a sentence; empty where the calibrated model is confirmed, or where a quick calibration does not say.
     """
     for key, where in (("confirmed", ""), ("confirmed_in_plans", " for plans")):
         if document.get(key) is False:
@@ -267,15 +186,7 @@ def _states(error: Mapping[str, Any], unit: str) -> str:
 def error_states(error: Mapping[str, Any]) -> dict[str, str]:
     """Return words for each state of the model that errors are stated of.
 
-    Parameters
-    ----------
-    error : mapping
-        From the report.
-
-    Returns
-    -------
-    dict
-        Key of the state -> words, without those of no difference to before or after.
+    Result: key of the state -> words, without those of no difference to before or after.
     """
     states = {
         "before": "before",
@@ -291,18 +202,7 @@ def error_states(error: Mapping[str, Any]) -> dict[str, str]:
 
 
 def site_words(document: Mapping[str, Any]) -> list[str]:
-    """Return on which of several maps the route was compared.
-
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of str
-        One sentence, none for a single map.
-    """
+    """Return on which of several maps the route was compared."""
     sites = document.get("sites", [])
     if len(sites) < 2:
         return []

@@ -59,27 +59,7 @@ class Measured:
 
 
 def measure(model: str | Path, predictor: Predictor, runs: CalibrationRuns) -> Measured:
-    """Compare the runs of all sites with a model.
-
-    Parameters
-    ----------
-    model : str or Path
-        Name or folder of the base model. The runs that its folder keeps are the baseline where none is given.
-    predictor : Predictor
-        The base model.
-    runs : CalibrationRuns
-        As they were read.
-
-    Returns
-    -------
-    Measured
-        The residuals.
-
-    Raises
-    ------
-    RunsError
-        If runs do not fit their map and robot, or too few segments lie on known ground.
-    """
+    """Compare the runs of all sites with a model."""
     new = [(site, site.new) for site in runs.sites if site.new is not None]
     parts = _each(predictor, runs.robot, [(site.heightmap, segments) for site, segments in new])
     metres = [float(part[0].features.length_m.sum()) for part in parts]
@@ -130,18 +110,8 @@ def _each(predictor: Predictor, robot: Robot, driven: _Driven, *, least: int = L
 def sites_document(runs: CalibrationRuns, measured: Measured) -> list[dict[str, Any]]:
     """Return the sites and what was driven on each, JSON-able.
 
-    Parameters
-    ----------
-    runs : CalibrationRuns
-        As they were read.
-    measured : Measured
-        The same beside the model.
-
-    Returns
-    -------
-    list of dict
-        `heightmap` (name), names of the `runs`, `baseline_runs` and `test_runs`, metres compared `used_m`, and whether
-        it is the `main` site. Runs without positions lie on no map, and are in one entry.
+    Result: `heightmap` (name), names of the `runs`, `baseline_runs` and `test_runs`, metres compared `used_m`, and
+    whether it is the `main` site. Runs without positions lie on no map, and are in one entry.
     """
     if not runs.placed:
         driven = {key: [name for site in runs.sites for name in _names(getattr(site, key))] for key in _GROUPS}

@@ -85,37 +85,7 @@ def next_drive(
 ) -> NextDrive:
     """Return the drive that separates an effect from those it is confounded with, or measures it more precisely.
 
-    Parameters
-    ----------
-    found : Calibration
-        What was found so far.
-    predictor : Predictor
-        The base model.
-    heightmap : Heightmap
-        Where to drive.
-    robot : Robot
-        That drives.
-    placed : bool
-        As in `CalibrationRuns`.
-    effect : str, optional
-        Name or label of a candidate effect. Without it the first confounded effect, or else the least certain one found
-        that a route can show.
-    length_m : float
-        About how far to drive in all [m].
-    seed : int
-        Of the routes that are tried.
-
-    Returns
-    -------
-    NextDrive
-        The best of a few hundred simple routes.
-
-    Raises
-    ------
-    InputError
-        If no effect was found that a route can show and none is named, or if there is none of that name.
-    InfeasibleError
-        If no route fits on the map.
+    Result: the best of a few hundred simple routes.
     """
     selection = found.fitted.selection
     forms = {key: selection.design.candidates[k].form for key, k in selection.best.items()}
@@ -174,28 +144,7 @@ def suggest_next_drive(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> NextDrive:
-    """Return the next drive after a calibration of which nothing is kept.
-
-    Parameters
-    ----------
-    model : str or Path
-        Name or folder of the base model.
-    runs : CalibrationRuns
-        The runs so far. Of several maps, the one with the most metres driven is driven on next.
-    effect : str, optional
-        As `next_drive`.
-    length_m : float
-        About how far to drive in all [m].
-    seed : int
-        Of the routes that are tried.
-    progress : callable, optional
-        Called with the share of the work that is done, 0..1.
-
-    Returns
-    -------
-    NextDrive
-        As `next_drive`.
-    """
+    """Return the next drive after a calibration of which nothing is kept."""
     predictor = load_model(model)
     measured = measure(model, predictor, runs)
     found = calibrate(

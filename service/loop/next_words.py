@@ -28,18 +28,7 @@ class NextStep:
 
 
 def drive_words(drive: Mapping[str, Any]) -> str:
-    """Return what to drive next.
-
-    Parameters
-    ----------
-    drive : mapping
-        A suggested drive, or `why_not`.
-
-    Returns
-    -------
-    str
-        Sentences, without the corners of the route.
-    """
+    """Return what to drive next. Result: sentences, without the corners of the route."""
     if "why_not" in drive:
         return f"No drive is suggested: {drive['why_not']}."
     (x, y), points = drive["points"][0], drive["points"]
@@ -65,15 +54,7 @@ def drive_words(drive: Mapping[str, Any]) -> str:
 def likeliest(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return what could be driven to find an effect where none was found.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of tuple of str
-        (label, drive that shows it) of the candidates with the smallest p-values below 1.
+    Result: (label, drive that shows it) of the candidates with the smallest p-values below 1.
     """
     able = [c for c in document["candidates"] if not c["taken"] and c["p_value"] < 1.0]
     ranked = sorted(able, key=lambda c: c["p_value"])

@@ -64,32 +64,13 @@ def _figure(draw: Callable[[Axes], None], size: tuple[float, float]) -> str:
 def names_of(found: Calibration) -> tuple[str, str]:
     """Return what the predictions before and after are called in figures.
 
-    Parameters
-    ----------
-    found : Calibration
-        What was found.
-
-    Returns
-    -------
-    tuple of str
-        The second says whether the calibration had a part in the rows that it predicts.
+    Result: the second says whether the calibration had a part in the rows that it predicts.
     """
     return "before", "after, left out of the calibration" if found.folds else "after, fitted to these runs"
 
 
 def curve_figure(effect: Mapping[str, Any]) -> str:
-    """Draw a fitted curve with its 95 % intervals.
-
-    Parameters
-    ----------
-    effect : mapping
-        Of a report, of the form `curve`.
-
-    Returns
-    -------
-    str
-        SVG.
-    """
+    """Draw a fitted curve with its 95 % intervals."""
     over = effect["settings"]["over"]
     knots, values, intervals = (np.asarray(part) for part in curve_points(effect))
     low, high = intervals.T
@@ -110,20 +91,7 @@ def curve_figure(effect: Mapping[str, Any]) -> str:
 
 
 def prediction_figures(found: Calibration, unit: str) -> list[str]:
-    """Draw measured against predicted energy of every segment, before and after.
-
-    Parameters
-    ----------
-    found : Calibration
-        What was found.
-    unit : str
-        Of energy or charge.
-
-    Returns
-    -------
-    list of str
-        Two SVG figures.
-    """
+    """Draw measured against predicted energy of every segment, before and after."""
     moving = found.residuals.moving
     measured = found.residuals.measured[moving]
     top = float(np.quantile(measured, 0.995))
@@ -141,18 +109,7 @@ def prediction_figures(found: Calibration, unit: str) -> list[str]:
 
 
 def error_figure(found: Calibration) -> str:
-    """Draw the mean relative error of every run, before and after, with 95 % bootstrap intervals.
-
-    Parameters
-    ----------
-    found : Calibration
-        What was found.
-
-    Returns
-    -------
-    str
-        SVG.
-    """
+    """Draw the mean relative error of every run, before and after, with 95 % bootstrap intervals."""
     residuals, moving, unit_j = found.residuals, found.residuals.moving, found.residuals.features.unit_j
     runs = np.unique(residuals.run[moving])
 
@@ -188,17 +145,7 @@ def error_figure(found: Calibration) -> str:
 def residual_maps(found: Calibration, runs: Collection[str] | None = None) -> list[str]:
     """Draw the residual of every segment at its place, before and after.
 
-    Parameters
-    ----------
-    found : Calibration
-        What was found.
-    runs : collection of str, optional
-        Names of the runs that are drawn, which lie on one map. Without it all.
-
-    Returns
-    -------
-    list of str
-        Two SVG figures with the same colour scale.
+    Result: two SVG figures with the same colour scale.
     """
     rows, moving = found.residuals.features, found.residuals.moving
     if runs is not None:
@@ -225,20 +172,9 @@ def residual_maps(found: Calibration, runs: Collection[str] | None = None) -> li
 def change_scale(low: float, high: float, mean: float) -> tuple[str, float, float]:
     """Return the colour scale of a map of changes, with zero on it.
 
-    Parameters
-    ----------
-    low : float
-        Smallest change that is to be shown [J/m].
-    high : float
-        Largest change that is to be shown [J/m].
-    mean : float
-        Mean energy per metre of the map [J/m].
-
-    Returns
-    -------
-    tuple
-        (name of the colour map, lower end, upper end): from zero where all changes have one sign, else symmetric about
-        zero; at least `LEAST_SPAN` of `mean` long on every side that it has.
+    `low`: smallest change that is to be shown [J/m]; `high`: largest change that is to be shown [J/m]; `mean`: mean
+    energy per metre of the map [J/m]. Result: (name of the colour map, lower end, upper end): from zero where all
+    changes have one sign, else symmetric about zero; at least `LEAST_SPAN` of `mean` long on every side that it has.
     """
     reach = max(-low, high, LEAST_SPAN * abs(mean), 1e-9)
     if low >= 0.0:
@@ -247,18 +183,7 @@ def change_scale(low: float, high: float, mean: float) -> tuple[str, float, floa
 
 
 def change_figure(routes: Comparison) -> str:
-    """Draw by how much the energy per metre of each cell changes, mean over headings, with the old and the new route.
-
-    Parameters
-    ----------
-    routes : Comparison
-        Of the map before and after.
-
-    Returns
-    -------
-    str
-        SVG.
-    """
+    """Draw by how much each cell's energy per metre changes, mean over headings, with the old and the new route."""
     west, south, east, north = routes.frame.bounds
     before, after = routes.price_per_m
     change = after - before
@@ -283,20 +208,7 @@ def change_figure(routes: Comparison) -> str:
 
 
 def against_figures(found: Calibration, unit: str) -> list[str]:
-    """Draw the mean residual in bins of every quantity, before and after.
-
-    Parameters
-    ----------
-    found : Calibration
-        What was found.
-    unit : str
-        Of energy or charge.
-
-    Returns
-    -------
-    list of str
-        An SVG figure for each quantity that varies.
-    """
+    """Draw the mean residual in bins of every quantity, before and after."""
     rows, moving = found.residuals.features, found.residuals.moving
     panels = [(label.format(unit=unit), _values(found, key)) for label, key in _QUANTITIES.items()]
     panels += [

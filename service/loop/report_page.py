@@ -68,20 +68,7 @@ _ALIKE = 0.005  # of the mean energy per metre: less than this is no change of t
 
 
 def report_page(made: Calibrated, *, steps: Sequence[NextStep] = ()) -> str:
-    """Return the page.
-
-    Parameters
-    ----------
-    made : Calibrated
-        What a calibration left.
-    steps : sequence of NextStep
-        What to type next.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Return the page."""
     document, found = made.document, made.found
     unit, title = unit_of(document), headline(document)
     parts = [

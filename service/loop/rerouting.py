@@ -151,40 +151,7 @@ def compare_routes(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Comparison:
-    """Plan the same task with two models.
-
-    Parameters
-    ----------
-    heightmap : Heightmap
-        Where to drive.
-    robot : Robot
-        That drives.
-    before : Predictor
-        The base model.
-    after : Predictor
-        The calibrated model.
-    places : ndarray, (n, 2)
-        World points that the runs visited [m].
-    task : tuple of places, optional
-        Start and goal, as `joulemap.service.coordinates.world_point` takes them. Without it a few pairs of `places`
-        are tried, and the one with the largest saving is shown.
-    seed : int
-        Of the pairs.
-    progress : callable, optional
-        Called with the share of the work that is done, 0..1.
-
-    Returns
-    -------
-    Comparison
-        Of the routes and of the map.
-
-    Raises
-    ------
-    InfeasibleError
-        If none of the tasks has a route.
-    PointError
-        If the task lies outside the map.
-    """
+    """Plan the same task with two models. `places` (n, 2): world points that the runs visited [m]."""
     west, south, east, north = heightmap.frame.bounds
     spacing = max(1.0, math.ceil(math.sqrt((east - west) * (north - south) / _CELLS)))
     robots = planning_robot(before, robot), planning_robot(after, robot)
@@ -226,17 +193,8 @@ def _reroute(planners: tuple[RoutePlanner, RoutePlanner], task: Task) -> Reroute
 def drawn_tasks(places: FloatArray, *, seed: int) -> list[Task]:
     """Return tasks between places.
 
-    Parameters
-    ----------
-    places : ndarray, (n, 2)
-        World points [m].
-    seed : int
-        Of the pairs.
-
-    Returns
-    -------
-    list of tuple
-        Start and goal: the two places with the greatest distance, and a few random pairs that are not much closer.
+    `places` (n, 2): world points [m]. Result: start and goal: the two places with the greatest distance, and a few
+    random pairs that are not much closer.
     """
     angle = np.arange(_DIRECTIONS) * (2.0 * math.pi / _DIRECTIONS)
     outermost = places[np.unique(np.argmax(places @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))]

@@ -25,15 +25,7 @@ _SAID_RANGES = ("speed", "grade", "turning")  # in sentences; the report's table
 def headline(document: Mapping[str, Any]) -> str:
     """Return the shortest answer to what was found.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    str
-        Names of the effects found, and whether to keep the model before.
+    Result: names of the effects found, and whether to keep the model before.
     """
     names = ", ".join(effect["label"] for effect in document["effects"])
     found = f"Found: {names}" if names else "No missing effect was found"
@@ -43,17 +35,9 @@ def headline(document: Mapping[str, Any]) -> str:
 def summary_lines(document: Mapping[str, Any]) -> list[str]:
     """Return the whole summary, as the command line and Python print it.
 
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    list of str
-        The headline; the base parameters; the effects found; what no effect explains; how much better the model
-        predicts; what these runs cannot distinguish; in which ranges they were driven; and of several maps, which one
-        the route is on. Details are indented.
+    Result: the headline; the base parameters; the effects found; what no effect explains; how much better the model
+    predicts; what these runs cannot distinguish; in which ranges they were driven; and of several maps, which one the
+    route is on.
     """
     first, *rest = found_words(document)
     lines = [
@@ -68,18 +52,7 @@ def summary_lines(document: Mapping[str, Any]) -> list[str]:
 
 
 def range_words(document: Mapping[str, Any]) -> str:
-    """Return in which ranges the calibrated model holds.
-
-    Parameters
-    ----------
-    document : mapping
-        The report.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
+    """Return in which ranges the calibrated model holds."""
     ranges = document["ranges"]
     driven = [
         f"{quantity_name(key)} {number_words(ranges[key][0])} to {quantity_value(key, ranges[key][1])}"

@@ -48,26 +48,8 @@ def back_up(
 ) -> dict[str, Any]:
     """Copy everything that is kept, whole or not at all; the service may run.
 
-    Parameters
-    ----------
-    store : Store
-        Open.
-    target : Path
-        Folder of the copy, which is not there yet.
-    models_dir : Path
-        Folder of trained models.
-    progress : callable, optional
-        Called with the share that is done, 0..1.
-
-    Returns
-    -------
-    dict
-        The manifest: version, time, number of rows of each table, and size and SHA-256 of each file.
-
-    Raises
-    ------
-    ConflictError
-        If something is at `target`.
+    Result: the manifest: version, time, number of rows of each table, and size and SHA-256 of each file. Raises
+    ConflictError if something is at `target`.
     """
     if target.exists() and not (target.is_dir() and not any(target.iterdir())):
         raise ConflictError(f"{target} is there already: name a folder that is not there yet", path=str(target))
@@ -128,30 +110,7 @@ def restore(
 ) -> dict[str, Any]:
     """Put a copy into the place of an empty data directory; every file is compared with the manifest first.
 
-    Parameters
-    ----------
-    source : Path
-        Folder of the copy.
-    store : Store
-        Open and alone, with nothing in it.
-    data_dir : Path
-        Its folder.
-    models_dir : Path
-        Folder of trained models.
-    progress : callable, optional
-        Called with the share that is done, 0..1.
-
-    Returns
-    -------
-    dict
-        The manifest.
-
-    Raises
-    ------
-    InputError
-        If `source` is no copy, or a damaged one.
-    ConflictError
-        If something is kept already.
+    Raises ConflictError if something is kept already.
     """
     manifest = _verified(source)
     with store.sessions() as session:

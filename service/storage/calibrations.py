@@ -21,76 +21,24 @@ class KeptCalibrations(KeptJobs):
     def add_calibration(self, heightmap_id: str | None, request: dict[str, Any]) -> CalibrationRow:
         """Add a calibration to the queue.
 
-        Parameters
-        ----------
-        heightmap_id : str or None
-            Id of the heightmap that the runs were driven on; None for runs without positions.
-        request : dict
-            Runs, model, robot and settings, JSON-able.
-
-        Returns
-        -------
-        CalibrationRow
-            The new row.
-
-        Raises
-        ------
-        NotFoundError
-            If the heightmap was deleted.
-        StorageFullError
-            If the caller keeps as much as it may.
-        RateError
-            If the caller has as many jobs as it may.
+        `heightmap_id`: id of the heightmap that the runs were driven on, None for runs without positions. Raises
+        NotFoundError if the heightmap was deleted.
         """
         return self._add(CalibrationRow(**new_job(CALIBRATION, heightmap_id, request)))
 
     def calibration(self, calibration_id: str) -> CalibrationRow:
-        """Return the row of a calibration.
-
-        Parameters
-        ----------
-        calibration_id : str
-            Its id.
-
-        Returns
-        -------
-        CalibrationRow
-            As it is in the database.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        """
+        """Return the row of a calibration. Raises NotFoundError if there is none."""
         return self._row(CalibrationRow, "is no calibration", calibration_id=calibration_id)
 
     def calibrations(self, *, limit: int, offset: int) -> tuple[list[CalibrationRow], int]:
         """Return one page of the calibrations, newest first.
 
-        Parameters
-        ----------
-        limit : int
-            Most rows of a page.
-        offset : int
-            Rows to skip.
-
-        Returns
-        -------
-        rows : list
-            Those of the page.
-        total : int
-            How many there are in all.
+        Returns `rows`: those of the page; `total`: how many there are in all.
         """
         return self._page(CalibrationRow, limit, offset)
 
     def hidden_models(self) -> set[str]:
-        """Return the models that the caller must not see.
-
-        Returns
-        -------
-        set of str
-            Ids of the calibrations that others own.
-        """
+        """Return the models that the caller must not see. Result: ids of the calibrations that others own."""
         if self._caller.sees_all:
             return set()
         with self._sessions() as session:
@@ -100,17 +48,7 @@ class KeptCalibrations(KeptJobs):
     def delete_calibration(self, calibration_id: str) -> None:
         """Delete the row of a calibration; its files are the caller's to delete.
 
-        Parameters
-        ----------
-        calibration_id : str
-            Its id.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        ConflictError
-            If cost maps use its model; their ids are in the context.
+        Raises NotFoundError if there is none; ConflictError if cost maps use its model; their ids are in the context.
         """
         row = self.calibration(calibration_id)
         with self._sessions() as session:

@@ -69,19 +69,7 @@ class Finding:
 
 
 class Check:
-    """Looks through a data directory; nothing is changed but by the repairs of its findings.
-
-    Parameters
-    ----------
-    store : Store
-        Open; alone where something is to be repaired.
-    data_dir : Path
-        Its folder.
-    models_dir : Path
-        Folder of trained models.
-    answers : mapping
-        By table: what makes the service's answer of a row, and raises where the row cannot be answered.
-    """
+    """Looks through a data directory; nothing is changed but by the repairs of its findings."""
 
     def __init__(
         self,
@@ -94,18 +82,7 @@ class Check:
         self._store, self._dir, self._models, self._answers = store, data_dir, models_dir, answers
 
     def findings(self, progress: Callable[[float], object] = lambda _: None) -> Iterator[Finding]:
-        """Look at everything.
-
-        Parameters
-        ----------
-        progress : callable, optional
-            Called with the share that is done, 0..1.
-
-        Yields
-        ------
-        Finding
-            One after another. A repair may be done before the next is asked for.
-        """
+        """Look at everything. A repair may be done before the next is asked for."""
         yield from self._database()
         ids = {table: self._ids(table) for table in _TABLES}
         done, count = 0, max(1, sum(map(len, ids.values())))

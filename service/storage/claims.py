@@ -17,15 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 
 class Claims:
-    """The jobs that one service has claimed.
-
-    Parameters
-    ----------
-    engine : Engine
-        Of the database.
-    file : Path
-        Whose bytes are locked where the database has no locks; it is made.
-    """
+    """The jobs that one service has claimed."""
 
     def __init__(self, engine: Engine, file: Path) -> None:
         self._engine, self._path = engine, file
@@ -36,20 +28,7 @@ class Claims:
     def keep(self, wanted: Iterable[str]) -> set[str]:
         """Claim all jobs that no other service has, and give back the others.
 
-        Parameters
-        ----------
-        wanted : iterable of str
-            Ids of the jobs that are not done.
-
-        Returns
-        -------
-        set of str
-            Those that are claimed; what was claimed before is lost where the database was.
-
-        Raises
-        ------
-        OperationalError
-            If the database does not answer.
+        Result: those that are claimed; what was claimed before is lost where the database was.
         """
         wanted = set(wanted)
         try:

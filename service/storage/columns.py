@@ -9,13 +9,7 @@ from joulemap.service.storage.tables import Base
 
 
 def add_missing_columns(connection: Connection) -> None:
-    """Add every column and index that a table of the database lacks; new columns may be empty.
-
-    Parameters
-    ----------
-    connection : Connection
-        In a transaction; all tables exist.
-    """
+    """Add every column and index that a table of the database lacks; new columns may be empty."""
     found = inspect(connection)
     quoted = connection.dialect.identifier_preparer
     for table in Base.metadata.sorted_tables:

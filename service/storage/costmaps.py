@@ -21,85 +21,22 @@ class KeptCostmaps(KeptJobs):
     """Rows of cost maps, and a lattice of each that is done."""
 
     def add_costmap(self, heightmap_id: str, request: dict[str, Any], *, most_bytes: int = 0) -> CostmapRow:
-        """Add a cost map to the queue.
-
-        Parameters
-        ----------
-        heightmap_id : str
-            Id of the heightmap that it is made from.
-        request : dict
-            Robot, model, spacing and headings, JSON-able.
-        most_bytes : int, optional
-            The most that it can take on disk.
-
-        Returns
-        -------
-        CostmapRow
-            The new row.
-
-        Raises
-        ------
-        NotFoundError
-            If the heightmap was deleted.
-        StorageFullError
-            If the caller would keep more than it may.
-        RateError
-            If the caller has as many jobs as it may.
-        """
+        """Add a cost map to the queue. Raises NotFoundError if the heightmap was deleted."""
         return self._add(CostmapRow(**new_job(COSTMAP, heightmap_id, request)), most_bytes)
 
     def costmap(self, costmap_id: str) -> CostmapRow:
-        """Return the row of a cost map.
-
-        Parameters
-        ----------
-        costmap_id : str
-            Its id.
-
-        Returns
-        -------
-        CostmapRow
-            As it is in the database.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        """
+        """Return the row of a cost map. Raises NotFoundError if there is none."""
         return self._row(CostmapRow, "is no cost map", costmap_id=costmap_id)
 
     def costmaps(self, *, limit: int, offset: int) -> tuple[list[CostmapRow], int]:
         """Return one page of the cost maps, newest first.
 
-        Parameters
-        ----------
-        limit : int
-            Most rows of a page.
-        offset : int
-            Rows to skip.
-
-        Returns
-        -------
-        rows : list
-            Those of the page.
-        total : int
-            How many there are in all.
+        Returns `rows`: those of the page; `total`: how many there are in all.
         """
         return self._page(CostmapRow, limit, offset)
 
     def alike(self, row: CostmapRow) -> list[str]:
-        """Return the newest finished cost map of every other model that differs from one in nothing but the model.
-
-        Parameters
-        ----------
-        row : CostmapRow
-            The one.
-
-        Returns
-        -------
-        list of str
-            Ids.
-        """
+        """Return the newest finished cost map of every other model that differs from one in nothing but the model."""
 
         def _but_model(request: dict[str, Any]) -> dict[str, Any]:
             return {key: value for key, value in request.items() if key != "model"}
@@ -114,18 +51,7 @@ class KeptCostmaps(KeptJobs):
         return list(newest.values())
 
     def load_lattice(self, costmap_id: str) -> CostLattice:
-        """Load the lattice of a cost map.
-
-        Parameters
-        ----------
-        costmap_id : str
-            Id of a cost map that is done.
-
-        Returns
-        -------
-        CostLattice
-            In memory.
-        """
+        """Load the lattice of a cost map."""
         return load_lattice(self.lattice_folder(costmap_id))
 
     def lattice_folder(self, costmap_id: str) -> Path:
@@ -133,20 +59,7 @@ class KeptCostmaps(KeptJobs):
 
         One of an older version has no checksums of its own: it is compared with those of its row, once.
 
-        Parameters
-        ----------
-        costmap_id : str
-            Id of a cost map that is done.
-
-        Returns
-        -------
-        Path
-            It is there.
-
-        Raises
-        ------
-        DamagedError
-            If it is not what was kept.
+        Raises DamagedError if it is not what was kept.
         """
         place = self.here(self.lattice_path(costmap_id))
         if place.exists() and not (place / checksums.FILE).exists():
@@ -157,15 +70,7 @@ class KeptCostmaps(KeptJobs):
     def delete_costmap(self, costmap_id: str) -> None:
         """Delete a cost map: the row first, so that a job that still makes it stops.
 
-        Parameters
-        ----------
-        costmap_id : str
-            Its id.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
+        Raises NotFoundError if there is none.
         """
         self._delete(self.costmap(costmap_id))
         LatticeFolder(self.lattice_path(costmap_id)).discard()

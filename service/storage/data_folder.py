@@ -21,20 +21,7 @@ _WAIT_S = 30.0  # for a service that starts at the same moment
 
 
 class DataFolder:
-    """A data folder that this process uses, beside other services.
-
-    Parameters
-    ----------
-    path : Path
-        The folder; it is made.
-
-    Attributes
-    ----------
-    alone : bool
-        Whether no other service used it when it was opened.
-    uploads : Path
-        What this process alone writes into; it is removed in the end, or by the next start.
-    """
+    """A data folder that this process uses, beside other services."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.alone = path, False
@@ -48,18 +35,7 @@ class DataFolder:
             (self.path / name).mkdir(mode=FOLDER_MODE, exist_ok=True)
 
     def use(self, *, alone: bool) -> None:
-        """Use the folder as a service.
-
-        Parameters
-        ----------
-        alone : bool
-            Whether no other service may use it meanwhile.
-
-        Raises
-        ------
-        ConflictError
-            If another one does.
-        """
+        """Use the folder as a service. Raises ConflictError if another one does."""
         lock = (self.path / "lock").open("w")
         self._locks.append(lock)
         self.alone = _locked(lock, fcntl.LOCK_EX)
@@ -96,16 +72,6 @@ class DataFolder:
         """Remove what processes left unfinished that were killed; only where no other service uses the folder.
 
         What is whole stays, whether the database knows it or not: the database may be the wrong one.
-
-        Parameters
-        ----------
-        sessions : sessionmaker
-            Of the database.
-
-        Returns
-        -------
-        list of Path
-            What was removed.
         """
         if not self.alone:
             return []
@@ -120,15 +86,7 @@ class DataFolder:
     def leftovers(self, sessions: sessionmaker[Session]) -> list[Path]:
         """Return what processes left unfinished that were killed.
 
-        Parameters
-        ----------
-        sessions : sessionmaker
-            Of the database.
-
-        Returns
-        -------
-        list of Path
-            Files and folders that no process works on.
+        Result: files and folders that no process works on.
         """
         at_work: set[str] = set()
         with sessions() as session:

@@ -9,18 +9,7 @@ from typing import Any
 
 
 def dumps(value: Any) -> str:
-    """Return a value as JSON.
-
-    Parameters
-    ----------
-    value : object
-        JSON-able, but for numbers that are not finite.
-
-    Returns
-    -------
-    str
-        With null for these.
-    """
+    """Return a value as JSON."""
     try:
         return json.dumps(value, allow_nan=False)
     except ValueError:

@@ -28,22 +28,7 @@ class KeptHeightmaps(Kept):
     """Rows of heightmaps, and a GeoTIFF of each."""
 
     def add_heightmap(self, heightmap: Heightmap | Path, *, name: str, stats: dict[str, Any]) -> HeightmapRow:
-        """Keep a heightmap, so that no row is ever without its file.
-
-        Parameters
-        ----------
-        heightmap : Heightmap or Path
-            What to keep, or its GeoTIFF in the folder of uploads, which is moved.
-        name : str
-            Its name for people.
-        stats : dict
-            What a listing says about it, JSON-able.
-
-        Returns
-        -------
-        HeightmapRow
-            The new row.
-        """
+        """Keep a heightmap, so that no row is ever without its file."""
         row = HeightmapRow(id=f"hm-{secrets.token_hex(6)}", created_at=now(), name=name, stats=stats)
         with self.upload_file() as begun:
             if isinstance(heightmap, Path):
@@ -54,42 +39,13 @@ class KeptHeightmaps(Kept):
         return row
 
     def heightmap(self, heightmap_id: str) -> HeightmapRow:
-        """Return the row of a heightmap.
-
-        Parameters
-        ----------
-        heightmap_id : str
-            Its id.
-
-        Returns
-        -------
-        HeightmapRow
-            As it is in the database.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        """
+        """Return the row of a heightmap. Raises NotFoundError if there is none."""
         return self._row(HeightmapRow, "is no heightmap", heightmap_id=heightmap_id)
 
     def open_heightmap(self, heightmap_id: str) -> Ground:
         """Open a heightmap to read it by windows.
 
-        Parameters
-        ----------
-        heightmap_id : str
-            Its id.
-
-        Returns
-        -------
-        Ground
-            Whose heights are read as they are needed.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
+        Result: whose heights are read as they are needed. Raises NotFoundError if there is none.
         """
         row = self.heightmap(heightmap_id)
         path = self.here(self.heightmap_path(heightmap_id))
@@ -98,36 +54,15 @@ class KeptHeightmaps(Kept):
     def heightmaps(self, *, limit: int, offset: int) -> tuple[list[HeightmapRow], int]:
         """Return one page of the heightmaps, newest first.
 
-        Parameters
-        ----------
-        limit : int
-            Most rows of a page.
-        offset : int
-            Rows to skip.
-
-        Returns
-        -------
-        rows : list
-            Those of the page.
-        total : int
-            How many there are in all.
+        Returns `rows`: those of the page; `total`: how many there are in all.
         """
         return self._page(HeightmapRow, limit, offset)
 
     def delete_heightmap(self, heightmap_id: str) -> None:
         """Delete a heightmap from which nothing was made.
 
-        Parameters
-        ----------
-        heightmap_id : str
-            Its id.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        ConflictError
-            If cost maps or calibrations were made from it; their ids are in the context.
+        Raises NotFoundError if there is none; ConflictError if cost maps or calibrations were made from it; their ids
+        are in the context.
         """
         row = self.heightmap(heightmap_id)
         try:
@@ -149,16 +84,5 @@ class KeptHeightmaps(Kept):
         self._forget(self.heightmap_path(heightmap_id))
 
     def heightmap_path(self, heightmap_id: str) -> Path:
-        """Return the file of a heightmap.
-
-        Parameters
-        ----------
-        heightmap_id : str
-            Its id.
-
-        Returns
-        -------
-        Path
-            Of a GeoTIFF, whether it exists or not.
-        """
+        """Return the file of a heightmap."""
         return self._dir / "heightmaps" / f"{heightmap_id}.tif"

@@ -35,48 +35,20 @@ class KeptJobs(Kept):
     """Rows of jobs, and what was made."""
 
     def status(self, job_id: str) -> str | None:
-        """Return the status of a job.
-
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-
-        Returns
-        -------
-        str or None
-            None where there is no such job.
-        """
+        """Return the status of a job. Result: None where there is no such job."""
         table = JOBS[kind_of(job_id)]
         with self._sessions() as session:
             return session.scalar(select(table.status).where(table.id == job_id))
 
     def unfinished(self, kind: str = COSTMAP) -> list[str]:
-        """Return the ids of jobs that wait or run, oldest first.
-
-        Parameters
-        ----------
-        kind : str, optional
-            COSTMAP or CALIBRATION.
-
-        Returns
-        -------
-        list of str
-            Ids.
-        """
+        """Return the ids of jobs that wait or run, oldest first."""
         table = JOBS[kind]
         with self._sessions() as session:
             query = select(table.id).where(table.status.in_([QUEUED, RUNNING]))
             return list(session.scalars(query.order_by(table.created_at)))
 
     def wanted(self) -> dict[str, float]:
-        """Return all jobs that wait or run.
-
-        Returns
-        -------
-        dict of str to float
-            When each was asked for [s since 1970], by its id.
-        """
+        """Return all jobs that wait or run. When each was asked for [s since 1970], by its id."""
         found: dict[str, float] = {}
         with self._sessions() as session:
             for table in JOBS.values():
@@ -87,15 +59,7 @@ class KeptJobs(Kept):
     def begin(self, costmap_id: str) -> None:
         """Make the folder of notes, or its record in an object store, without which nothing is written of a cost map.
 
-        Parameters
-        ----------
-        costmap_id : str
-            Its id.
-
-        Raises
-        ------
-        NotFoundError
-            If it was deleted, or has ended.
+        Raises NotFoundError if it was deleted, or has ended.
         """
         folder = LatticeFolder(self.lattice_path(costmap_id))
         if isinstance(self.vault, ObjectVault):
@@ -107,67 +71,22 @@ class KeptJobs(Kept):
             raise NotFoundError(f"nobody waits for cost map {costmap_id} any more", costmap_id=costmap_id)
 
     def report(self, job_id: str, progress: float) -> None:
-        """Note how far a job is.
-
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-        progress : float
-            Share that is done, 0..1.
-        """
+        """Note how far a job is."""
         table = JOBS[kind_of(job_id)]
         with self._sessions.begin() as session:
             at_work = update(table).where(table.id == job_id, table.status.in_([QUEUED, RUNNING]))
             session.execute(at_work.values(status=RUNNING, progress=progress))
 
     def finish(self, job_id: str, summary: dict[str, Any]) -> bool:
-        """Mark a job as done.
-
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-        summary : dict
-            What came out, JSON-able.
-
-        Returns
-        -------
-        bool
-            False where the job was deleted meanwhile.
-        """
+        """Mark a job as done."""
         return self._end(job_id, status=DONE, progress=1.0, summary=summary)
 
     def fail(self, job_id: str, problem: dict[str, Any]) -> bool:
-        """Mark a job as failed.
-
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-        problem : dict
-            The problem body that says why.
-
-        Returns
-        -------
-        bool
-            False where the job was deleted or has ended already.
-        """
+        """Mark a job as failed. Result: False where the job was deleted or has ended already."""
         return self._end(job_id, status=FAILED, problem=problem)
 
     def cancel(self, job_id: str) -> bool:
-        """Mark a job as cancelled; its row stays.
-
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-
-        Returns
-        -------
-        bool
-            False where the job was deleted or has ended already.
-        """
+        """Mark a job as cancelled; its row stays. Result: False where the job was deleted or has ended already."""
         return self._end(job_id, status=CANCELLED)
 
     def _end(self, job_id: str, **values: Any) -> bool:
@@ -189,25 +108,11 @@ class KeptJobs(Kept):
             session.delete(row)
 
     def tidy(self, job_id: str) -> None:
-        """Remove what was only needed to make a job that is done.
-
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-        """
+        """Remove what was only needed to make a job that is done."""
         self._remove_all(job_id, but=self._place(job_id))
 
     def discard(self, job_id: str, models_dir: Path) -> None:
-        """Remove all files of a job.
-
-        Parameters
-        ----------
-        job_id : str
-            Its id.
-        models_dir : Path
-            Folder of trained models, where that of a calibration is.
-        """
+        """Remove all files of a job."""
         LatticeFolder(self.lattice_path(job_id)).discard()
         self._remove_all(job_id)
         if kind_of(job_id) == CALIBRATION:
@@ -227,33 +132,11 @@ class KeptJobs(Kept):
             self._forget(made)
 
     def lattice_path(self, costmap_id: str) -> Path:
-        """Return the folder of a cost map's lattice.
-
-        Parameters
-        ----------
-        costmap_id : str
-            Its id.
-
-        Returns
-        -------
-        Path
-            Whether it exists or not.
-        """
+        """Return the folder of a cost map's lattice."""
         return self._dir / "costmaps" / f"{costmap_id}.zarr"
 
     def calibration_folder(self, calibration_id: str) -> Path:
-        """Return the folder of a calibration's report.
-
-        Parameters
-        ----------
-        calibration_id : str
-            Its id.
-
-        Returns
-        -------
-        Path
-            Of report.json and report.html, whether it exists or not.
-        """
+        """Return the folder of a calibration's report."""
         return self._dir / "calibrations" / calibration_id
 
     def _place(self, job_id: str) -> Path:
@@ -268,22 +151,7 @@ class KeptJobs(Kept):
 
 
 def new_job(kind: str, heightmap_id: str | None, request: dict[str, Any]) -> dict[str, Any]:
-    """Return the columns of a job that waits.
-
-    Parameters
-    ----------
-    kind : str
-        COSTMAP or CALIBRATION.
-    heightmap_id : str or None
-        Id of its heightmap.
-    request : dict
-        What was asked for, JSON-able.
-
-    Returns
-    -------
-    dict
-        A value for each.
-    """
+    """Return the columns of a job that waits."""
     return {
         "id": f"{kind}-{secrets.token_hex(6)}",
         "created_at": now(),

@@ -50,15 +50,6 @@ class Kept:
     """A database and a data folder; `open` it first, `close` it at the end.
 
     Several services may share a data directory and its database.
-
-    Parameters
-    ----------
-    data_dir : Path
-        Folder of all files.
-    database_url : str
-        SQLAlchemy URL.
-    objects : str, optional
-        URL of an object store in which everything is kept; the folder has copies then.
     """
 
     def __init__(self, data_dir: Path, database_url: str, *, objects: str | None = None) -> None:
@@ -71,18 +62,7 @@ class Kept:
         self._adding = threading.Lock()  # so that requests at the same moment do not pass a limit together
 
     def seen_by(self, caller: Caller) -> Self:
-        """Return this store as a caller sees it: what others own is not there, and what is added is the caller's.
-
-        Parameters
-        ----------
-        caller : Caller
-            On whose behalf it is asked.
-
-        Returns
-        -------
-        Kept
-            Open as long as this one is.
-        """
+        """Return this store as a caller sees it: what others own is not there, and what is added is the caller's."""
         seen = copy.copy(self)
         seen._caller = caller
         return seen
@@ -90,17 +70,7 @@ class Kept:
     def open(self, *, as_service: bool = True, alone: bool = False) -> None:
         """Create the folders and tables that are missing, and remove what killed processes left.
 
-        Parameters
-        ----------
-        as_service : bool, optional
-            Whether this is a service, and not a command that looks at the data directory beside it.
-        alone : bool, optional
-            Whether no other service may use the data directory meanwhile.
-
-        Raises
-        ------
-        ConflictError
-            If another service uses the data directory that is to be this one's alone.
+        Raises ConflictError if another service uses the data directory that is to be this one's alone.
         """
         self._folder.make()
         if as_service:
@@ -156,22 +126,7 @@ class Kept:
         self._folder.leave()
 
     def unlike(self, table: Any, row_id: str, place: Path) -> Iterator[Path]:
-        """Yield the files and folders of a row that have another content than was kept.
-
-        Parameters
-        ----------
-        table : type of Base
-            Where its row is.
-        row_id : str
-            Its id.
-        place : Path
-            Its files in the data folder.
-
-        Yields
-        ------
-        Path
-            One after another; none where no checksums were kept.
-        """
+        """Yield the files and folders of a row that have another content than was kept."""
         if isinstance(self.vault, ObjectVault):
             parts = self.vault.parts(str(place.relative_to(self._dir))) or {}
             yield from changed(place, {name: part.sha256 for name, part in parts.items()})
@@ -181,29 +136,12 @@ class Kept:
         yield from changed(place, kept or {})
 
     def may_see(self, row: Any) -> bool:
-        """Return whether a row is there for the caller.
-
-        Parameters
-        ----------
-        row : Base
-            A row with an owner.
-
-        Returns
-        -------
-        bool
-            False for what others own.
-        """
+        """Return whether a row is there for the caller."""
         return self._caller.may_see(row)
 
     @contextlib.contextmanager
     def upload_file(self) -> Iterator[Path]:
-        """Lend a path for an upload while it is read; the file is removed afterwards.
-
-        Yields
-        ------
-        Path
-            Of no file yet.
-        """
+        """Lend a path for an upload while it is read; the file is removed afterwards."""
         path = self._folder.uploads / secrets.token_hex(8)
         try:
             yield path
@@ -211,42 +149,13 @@ class Kept:
             path.unlink(missing_ok=True)
 
     def here(self, place: Path) -> Path:
-        """Have a file or a folder that is kept in the data folder.
-
-        Parameters
-        ----------
-        place : Path
-            As `heightmap_path`, `lattice_path`, `runs_folder` or `calibration_folder` say it.
-
-        Returns
-        -------
-        Path
-            The same; what is not kept is not there.
-
-        Raises
-        ------
-        OSError
-            If the object store does not answer.
-        """
+        """Have a file or a folder that is kept in the data folder."""
         with contextlib.suppress(FileNotFoundError):
             self.vault.fetch(self._key(place), place)
         return place
 
     def model_here(self, model: str, models_dir: Path) -> None:
-        """Have the model of a calibration in the folder of models; others are there or not.
-
-        Parameters
-        ----------
-        model : str
-            Its name.
-        models_dir : Path
-            Folder of trained models.
-
-        Raises
-        ------
-        OSError
-            If the object store does not answer.
-        """
+        """Have the model of a calibration in the folder of models; others are there or not."""
         if model.startswith(f"{CALIBRATION}-"):
             with contextlib.suppress(FileNotFoundError):
                 self.vault.fetch(f"models/{model}", models_dir / model)
@@ -325,13 +234,7 @@ def _sources(row: Any) -> list[tuple[Any, list[str]]]:
 
 
 def now() -> dt.datetime:
-    """Return the time as rows have it.
-
-    Returns
-    -------
-    datetime
-        UTC, without a zone.
-    """
+    """Return the time as rows have it."""
     return dt.datetime.now(dt.UTC).replace(tzinfo=None)
 
 

@@ -22,34 +22,13 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
 def fits(row: KeyRow, key: str) -> bool:
     """Return whether a key is that of a row and is still valid.
 
-    Parameters
-    ----------
-    row : KeyRow
-        Found by the key's prefix.
-    key : str
-        As it was sent.
-
-    Returns
-    -------
-    bool
-        Found in a time that does not depend on where two hashes differ.
+    Result: found in a time that does not depend on where two hashes differ.
     """
     return hmac.compare_digest(row.digest, _digest(key)) and row.revoked_at is None
 
 
 def prefix_of(key: str) -> str | None:
-    """Return the part of a key by which it is found.
-
-    Parameters
-    ----------
-    key : str
-        As it was sent.
-
-    Returns
-    -------
-    str or None
-        None where it does not look like a key.
-    """
+    """Return the part of a key by which it is found. Result: None where it does not look like a key."""
     match = _KEY.fullmatch(key)
     return match[1] if match else None
 
@@ -64,35 +43,7 @@ def add_key(
     gb: float | None = None,
     requests_per_s: float | None = None,
 ) -> str:
-    """Add a key.
-
-    Parameters
-    ----------
-    sessions : sessionmaker
-        Of the database.
-    name : str
-        Owner of what is sent and made with it.
-    operator : bool, optional
-        Whether it sees everything.
-    adopt : bool, optional
-        Whether what belongs to nobody is given to this name.
-    jobs : int, optional
-        Most jobs that wait or run; by default the service's setting.
-    gb : float, optional
-        Most that the name keeps [GB].
-    requests_per_s : float, optional
-        Most requests per second over a longer time.
-
-    Returns
-    -------
-    str
-        The key, which is kept nowhere.
-
-    Raises
-    ------
-    InputError
-        If this cannot be a name.
-    """
+    """Add a key."""
     if not _NAME.fullmatch(name):
         raise InputError(
             f"{name[:80]!r} cannot be the name of a key: use up to 64 letters, digits and . _ @ -", name=name[:80]
@@ -118,42 +69,13 @@ def add_key(
 
 
 def all_keys(sessions: sessionmaker[Session]) -> Sequence[KeyRow]:
-    """Return all keys, also the revoked ones.
-
-    Parameters
-    ----------
-    sessions : sessionmaker
-        Of the database.
-
-    Returns
-    -------
-    sequence of KeyRow
-        Oldest first.
-    """
+    """Return all keys, also the revoked ones."""
     with sessions() as session:
         return session.scalars(select(KeyRow).order_by(KeyRow.created_at, KeyRow.prefix)).all()
 
 
 def revoke_keys(sessions: sessionmaker[Session], which: str) -> int:
-    """Revoke the keys of a name, or the one key with a prefix.
-
-    Parameters
-    ----------
-    sessions : sessionmaker
-        Of the database.
-    which : str
-        Name, or prefix as `all_keys` has it.
-
-    Returns
-    -------
-    int
-        How many were revoked.
-
-    Raises
-    ------
-    NotFoundError
-        If no valid key is called so.
-    """
+    """Revoke the keys of a name, or the one key with a prefix. Raises NotFoundError if no valid key is called so."""
     valid = KeyRow.revoked_at.is_(None) & or_(KeyRow.name == which, KeyRow.prefix == which)
     with sessions.begin() as session:
         count: int = session.execute(update(KeyRow).where(valid).values(revoked_at=_now())).rowcount  # type: ignore[attr-defined]

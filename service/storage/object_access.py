@@ -16,28 +16,14 @@ SHOWN = "the object store"
 
 
 def obstore_library() -> Any:
-    """Return obstore, which is an extra.
-
-    Returns
-    -------
-    module
-        It.
-    """
+    """Return obstore, which is an extra."""
     import obstore
 
     return obstore
 
 
 def for_all(do: Callable[[str], object], names: list[str]) -> None:
-    """Do something for every name, some at a time; raises what the first failure raises.
-
-    Parameters
-    ----------
-    do : callable
-        Is given a name.
-    names : list of str
-        All names.
-    """
+    """Do something for every name, some at a time; raises what the first failure raises."""
     if len(names) <= 1:
         for name in names:
             do(name)
@@ -49,20 +35,7 @@ def for_all(do: Callable[[str], object], names: list[str]) -> None:
 
 @contextmanager
 def as_file_errors() -> Iterator[None]:
-    """Raise the errors of an object store as those of a file system.
-
-    Yields
-    ------
-    None
-        Nothing; the block asks the object store.
-
-    Raises
-    ------
-    FileNotFoundError
-        If it has no such object.
-    OSError
-        If it does not answer as it should.
-    """
+    """Raise the errors of an object store as those of a file system."""
     from obstore.exceptions import BaseError, NotFoundError
 
     try:
@@ -74,16 +47,5 @@ def as_file_errors() -> Iterator[None]:
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of an error; below it obstore repeats itself for its developers.
-
-    Parameters
-    ----------
-    error : BaseException
-        Of obstore.
-
-    Returns
-    -------
-    str
-        At most 300 characters.
-    """
+    """Return the first line of an error; below it obstore repeats itself for its developers."""
     return (str(error).splitlines() or [type(error).__name__])[0][:300]

@@ -43,18 +43,7 @@ class Part(NamedTuple):
 
 
 class ObjectVault:
-    """An object store that is named by a URL.
-
-    Parameters
-    ----------
-    url : str
-        Like ``s3://BUCKET/PREFIX``; endpoint and credentials come from the environment (AWS_ENDPOINT_URL, ...).
-
-    Raises
-    ------
-    InputError
-        If it cannot be used.
-    """
+    """An object store that is named by a URL."""
 
     def __init__(self, url: str) -> None:
         try:
@@ -76,34 +65,11 @@ class ObjectVault:
             raise InputError(f"{url} is no object store that can be used: {first_line(error)}", url=url) from error
 
     def begin(self, key: str) -> None:
-        """Say that something is on its way. `remove` removes this first, and looks for what was sent after it.
-
-        Parameters
-        ----------
-        key : str
-            Its name here.
-        """
+        """Say that something is on its way. `remove` removes this first, and looks for what was sent after it."""
         self._record(key, {})
 
     def put(self, key: str, place: Path, *, there: Mapping[str, Part] | None = None, begun: str | None = None) -> None:
-        """Keep a file or a folder, whole or not at all.
-
-        Parameters
-        ----------
-        key : str
-            Its name here.
-        place : Path
-            Where it is in the data folder.
-        there : mapping, optional
-            By the end of their names: files that were sent before, by `send`.
-        begun : str, optional
-            What was begun for it. Nothing is kept where that is removed.
-
-        Raises
-        ------
-        FileNotFoundError
-            If what was begun is removed.
-        """
+        """Keep a file or a folder, whole or not at all."""
         if begun is not None:
             self.check_begun(begun)
         sent = there or {}
@@ -114,18 +80,7 @@ class ObjectVault:
         self._record(key, files)
 
     def check_begun(self, key: str) -> None:
-        """Refuse to go on with what nobody waits for any more.
-
-        Parameters
-        ----------
-        key : str
-            As it was begun.
-
-        Raises
-        ------
-        FileNotFoundError
-            If it is removed.
-        """
+        """Refuse to go on with what nobody waits for any more."""
         if self.parts(key) is None:
             raise FileNotFoundError(errno.ENOENT, f"nobody waits for {key} any more: it was deleted, or is done")
 
@@ -134,22 +89,7 @@ class ObjectVault:
         self.write(f"{_RECORDS}/{key}.json", json.dumps(record).encode())
 
     def send(self, key: str, place: Path, names: list[str]) -> dict[str, Part]:
-        """Send files without keeping them yet.
-
-        Parameters
-        ----------
-        key : str
-            Name of what they are of.
-        place : Path
-            Where it is in the data folder.
-        names : list of str
-            The files, relative to `place`.
-
-        Returns
-        -------
-        dict
-            A part for each name.
-        """
+        """Send files without keeping them yet."""
 
         def _send(name: str) -> None:
             with as_file_errors(), (place / name).open("rb") as file:
@@ -159,22 +99,7 @@ class ObjectVault:
         return {name: _part(place / name) for name in names}
 
     def get(self, key: str, place: Path, parts: Mapping[str, Part]) -> None:
-        """Copy files that were sent, each whole or not at all.
-
-        Parameters
-        ----------
-        key : str
-            Name of what they are of.
-        place : Path
-            Where it goes in the data folder.
-        parts : mapping
-            What to expect, by name relative to `place`.
-
-        Raises
-        ------
-        OSError
-            If a file is not what was sent.
-        """
+        """Copy files that were sent, each whole or not at all."""
 
         def _get(name: str) -> None:
             target = place / name if name else place
@@ -195,22 +120,7 @@ class ObjectVault:
         for_all(_get, list(parts))
 
     def fetch(self, key: str, place: Path) -> None:
-        """Have a copy in the data folder, whole or not at all.
-
-        Parameters
-        ----------
-        key : str
-            Its name here.
-        place : Path
-            Where the copy belongs; nothing is done if it is there.
-
-        Raises
-        ------
-        FileNotFoundError
-            If it is not kept.
-        OSError
-            If a file is not what was kept.
-        """
+        """Have a copy in the data folder, whole or not at all."""
         for last in (False, True):
             if place.exists():
                 return
@@ -232,35 +142,11 @@ class ObjectVault:
                     begun.unlink()
 
     def size(self, key: str, place: Path) -> int:
-        """Return how much is kept.
-
-        Parameters
-        ----------
-        key : str
-            Its name here.
-        place : Path
-            Not used.
-
-        Returns
-        -------
-        int
-            Bytes; 0 where it is not kept.
-        """
+        """Return how much is kept."""
         return sum(part.size for part in (self.parts(key) or {}).values())
 
     def parts(self, key: str) -> dict[str, Part] | None:
-        """Return the record of what is kept.
-
-        Parameters
-        ----------
-        key : str
-            Its name here.
-
-        Returns
-        -------
-        dict or None
-            A part by the name of each file; None where nothing is kept.
-        """
+        """Return the record of what is kept. Result: a part by the name of each file; None where nothing is kept."""
         found = self.read(f"{_RECORDS}/{key}.json")
         if found is None:
             return None
@@ -270,11 +156,6 @@ class ObjectVault:
         """Keep something no longer: its record goes first, so that nobody takes a part for the whole.
 
         It goes once more at the end: who kept the same thing at this moment may have written it meanwhile.
-
-        Parameters
-        ----------
-        key : str
-            Its name here.
         """
         self._remove_record(key)
         names = list(self.names(key))  # of a folder
@@ -292,15 +173,7 @@ class ObjectVault:
     def has(self, key: str) -> bool:
         """Return whether something is kept.
 
-        Parameters
-        ----------
-        key : str
-            Its name here.
-
-        Returns
-        -------
-        bool
-            False for a record whose files were removed before it was written.
+        Result: False for a record whose files were removed before it was written.
         """
         parts = self.parts(key)
         if not parts:
@@ -313,31 +186,12 @@ class ObjectVault:
         return True
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a small object.
-
-        Parameters
-        ----------
-        name : str
-            Its name.
-        content : bytes
-            All of it.
-        """
+        """Write a small object."""
         with as_file_errors():
             obstore_library().put(self._store, name, content)
 
     def read(self, name: str) -> bytes | None:
-        """Read a small object.
-
-        Parameters
-        ----------
-        name : str
-            Its name.
-
-        Returns
-        -------
-        bytes or None
-            None where there is none.
-        """
+        """Read a small object. Result: None where there is none."""
         try:
             with as_file_errors():
                 return bytes(obstore_library().get(self._store, name).bytes())
@@ -345,20 +199,7 @@ class ObjectVault:
             return None
 
     def names(self, prefix: str, *, before: dt.datetime | None = None) -> Iterator[str]:
-        """Yield the names of objects in a folder.
-
-        Parameters
-        ----------
-        prefix : str
-            The folder.
-        before : datetime, optional
-            Only those that were written before.
-
-        Yields
-        ------
-        str
-            Names.
-        """
+        """Yield the names of objects in a folder."""
         with as_file_errors():
             for found in obstore_library().list(self._store, prefix):
                 yield from (each["path"] for each in found if before is None or each["last_modified"] < before)

@@ -41,50 +41,16 @@ class Caller:
     def may_see(self, row: Any) -> bool:
         """Return whether a row exists for this caller.
 
-        Parameters
-        ----------
-        row : Base
-            A row with an owner.
-
-        Returns
-        -------
-        bool
-            False for what somebody else owns, and for what nobody owns.
+        Result: False for what somebody else owns, and for what nobody owns.
         """
         return self.sees_all or (row.owner is not None and row.owner == self.name)
 
     def own(self, query: Select[Any], table: Any) -> Select[Any]:
-        """Return a query for no rows but those that this caller sees.
-
-        Parameters
-        ----------
-        query : Select
-            Over all rows.
-        table : type
-            The table with the owner.
-
-        Returns
-        -------
-        Select
-            The same where the caller sees all.
-        """
+        """Return a query for no rows but those that this caller sees."""
         return query if self.sees_all else query.where(table.owner == self.name)
 
     def check_room(self, session: Session, more_bytes: int) -> None:
-        """Check that the caller may keep more.
-
-        Parameters
-        ----------
-        session : Session
-            Of the database.
-        more_bytes : int
-            What is to be added.
-
-        Raises
-        ------
-        StorageFullError
-            If it would keep more than its limit.
-        """
+        """Check that the caller may keep more."""
         if self.kept_bytes is None or self.name is None:
             return
         kept = kept_bytes(session, self.name)
@@ -98,18 +64,7 @@ class Caller:
             )
 
     def check_jobs(self, session: Session) -> None:
-        """Check that the caller may have one more job.
-
-        Parameters
-        ----------
-        session : Session
-            Of the database.
-
-        Raises
-        ------
-        RateError
-            If as many as its limit wait or run.
-        """
+        """Check that the caller may have one more job."""
         if self.jobs is None or self.name is None:
             return
         at_once = sum(
@@ -136,19 +91,6 @@ NOBODY = Caller()
 
 
 def kept_bytes(session: Session, name: str) -> int:
-    """Return how much one owner keeps.
-
-    Parameters
-    ----------
-    session : Session
-        Of the database.
-    name : str
-        Of the owner.
-
-    Returns
-    -------
-    int
-        Bytes; a job that is not done counts with the most that it can take.
-    """
+    """Return how much one owner keeps. Result: bytes; a job that is not done counts with the most that it can take."""
     tables: list[Any] = [HeightmapRow, RunsRow, *JOBS.values()]
     return sum(int(session.scalar(select(func.sum(t.bytes)).where(t.owner == name)) or 0) for t in tables)

@@ -27,25 +27,7 @@ class LimitedConnection(psycopg.Connection[Any]):
     """A connection that is closed when the server does not answer in time, with an OperationalError."""
 
     def wait(self, gen: Generator[Any, Any, Result], *arguments: Any, **how: Any) -> Result:
-        """Wait for the server.
-
-        Parameters
-        ----------
-        gen : generator
-            What psycopg waits with; it is resumed ten times a second, with nothing where there is nothing.
-        *arguments, **how
-            As of `psycopg.Connection.wait`.
-
-        Returns
-        -------
-        object
-            What the generator returns.
-
-        Raises
-        ------
-        OperationalError
-            If it takes longer than `ANSWER_S`.
-        """
+        """Wait for the server."""
         return super().wait(self._limited(gen), *arguments, **how)
 
     def _limited(self, gen: Generator[Any, Any, Result]) -> Generator[Any, Any, Result]:
@@ -64,13 +46,7 @@ class LimitedConnection(psycopg.Connection[Any]):
 
 
 def limit(engine: Engine) -> None:
-    """Have an engine connect with limits of time, where its driver is psycopg.
-
-    Parameters
-    ----------
-    engine : Engine
-        Of a PostgreSQL.
-    """
+    """Have an engine connect with limits of time, where its driver is psycopg."""
     if engine.dialect.driver == "psycopg":
         event.listen(engine, "do_connect", _connect)
 

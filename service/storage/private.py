@@ -20,13 +20,7 @@ def others_get_nothing() -> None:
 
 @contextmanager
 def private_files() -> Iterator[None]:
-    """Make the files and folders of a block for this account alone.
-
-    Yields
-    ------
-    None
-        Nothing.
-    """
+    """Make the files and folders of a block for this account alone."""
     before = os.umask(_OTHERS)
     try:
         yield
@@ -35,13 +29,7 @@ def private_files() -> Iterator[None]:
 
 
 def close_database(file: Path) -> None:
-    """Let nobody else read a SQLite database, which holds the hashes of keys; it is made where there is none.
-
-    Parameters
-    ----------
-    file : Path
-        The database. What SQLite writes beside it gets the same mode.
-    """
+    """Let nobody else read a SQLite database, which holds the hashes of keys; it is made where there is none."""
     with suppress(OSError):  # it is there; or it cannot be made, which SQLite will say
         os.close(os.open(file, os.O_CREAT | os.O_EXCL | os.O_WRONLY, FILE_MODE))
     for path in (file, *(file.with_name(f"{file.name}-{end}") for end in ("wal", "shm", "journal"))):
@@ -60,13 +48,7 @@ def _close(path: Path, mode: int) -> None:
 
 
 def say_what_is_open(folder: Path) -> None:
-    """Say where other accounts can look into a data directory, and how that ends.
-
-    Parameters
-    ----------
-    folder : Path
-        The data directory.
-    """
+    """Say where other accounts can look into a data directory, and how that ends."""
     mode = folder.stat().st_mode & 0o777
     if mode & _OTHERS:
         words = "the data directory %s is open to other accounts (mode %04o): chmod -R go-rwx %s"

@@ -30,15 +30,7 @@ _JUST_USED = dt.timedelta(minutes=15)  # longer than a question, and than uses a
 
 
 def note_uses(store: Store, uses: Mapping[str, dt.datetime]) -> None:
-    """Write down when jobs' results were last used.
-
-    Parameters
-    ----------
-    store : Store
-        Open.
-    uses : mapping of str to datetime
-        Time [UTC] by the id of a cost map or a calibration.
-    """
+    """Write down when jobs' results were last used. `uses`: time [UTC] by the id of a cost map or a calibration."""
     with store.sessions.begin() as session:
         for job_id, at in uses.items():
             table = JOBS[kind_of(job_id)]
@@ -58,23 +50,7 @@ def remove_unused(
     By age go cost maps, then calibrations that no cost map uses, then runs that no calibration uses, then heightmaps
     from which nothing is left. By size go cost maps only, which can be made again.
 
-    Parameters
-    ----------
-    store : Store
-        Open.
-    delete : mapping
-        By table: deletes what has this id; raises ConflictError where it is needed.
-    now : datetime
-        The time [UTC].
-    days : float or None
-        What was not used for so long is removed [days].
-    most_bytes : int or None
-        Most bytes of everything that is kept.
-
-    Returns
-    -------
-    list of str
-        Ids of what was removed.
+    `now`: the time [UTC]; `days`: what was not used for so long is removed [days].
     """
     removed = []
     if days is not None:
@@ -125,13 +101,7 @@ def _by_use(store: Store, table: Any) -> list[tuple[str, int | None, dt.datetime
 
 
 def measure(store: Store) -> None:
-    """Measure what an older version kept.
-
-    Parameters
-    ----------
-    store : Store
-        Open.
-    """
+    """Measure what an older version kept."""
     places: dict[Any, Callable[[str], Any]] = {
         HeightmapRow: store.heightmap_path,
         RunsRow: store.runs_folder,

@@ -26,20 +26,7 @@ class KeptRuns(Kept):
     """Rows of runs that were sent together, and a folder of each."""
 
     def add_runs(self, files: Sequence[tuple[str, Path]], stats: list[dict[str, Any]]) -> RunsRow:
-        """Keep runs that were sent together, so that no row is ever without its files.
-
-        Parameters
-        ----------
-        files : sequence of (str, Path)
-            Name and file of each.
-        stats : list of dict
-            What was read of each, JSON-able.
-
-        Returns
-        -------
-        RunsRow
-            The new row.
-        """
+        """Keep runs that were sent together, so that no row is ever without its files."""
         row = RunsRow(id=f"runs-{secrets.token_hex(6)}", created_at=now(), stats=stats)
         begun = self._folder.uploads / row.id
         begun.mkdir()
@@ -52,78 +39,24 @@ class KeptRuns(Kept):
         return row
 
     def runs(self, runs_id: str) -> RunsRow:
-        """Return the row of runs that were sent together.
-
-        Parameters
-        ----------
-        runs_id : str
-            Their id.
-
-        Returns
-        -------
-        RunsRow
-            As it is in the database.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        """
+        """Return the row of runs that were sent together. Raises NotFoundError if there is none."""
         return self._row(RunsRow, "are no runs", runs_id=runs_id)
 
     def run_files(self, runs_id: str) -> list[Path]:
-        """Return the files of runs that were sent together.
-
-        Parameters
-        ----------
-        runs_id : str
-            Their id.
-
-        Returns
-        -------
-        list of Path
-            Sorted by name.
-
-        Raises
-        ------
-        NotFoundError
-            If there is none.
-        """
+        """Return the files of runs that were sent together. Raises NotFoundError if there is none."""
         return sorted(self.here(self.runs_folder(self.runs(runs_id).id)).iterdir())
 
     def all_runs(self, *, limit: int, offset: int) -> tuple[list[RunsRow], int]:
         """Return one page of the uploads of runs, newest first.
 
-        Parameters
-        ----------
-        limit : int
-            Most rows of a page.
-        offset : int
-            Rows to skip.
-
-        Returns
-        -------
-        rows : list
-            Those of the page.
-        total : int
-            How many there are in all.
+        Returns `rows`: those of the page; `total`: how many there are in all.
         """
         return self._page(RunsRow, limit, offset)
 
     def delete_runs(self, runs_id: str) -> None:
         """Delete runs that no calibration uses.
 
-        Parameters
-        ----------
-        runs_id : str
-            Their id.
-
-        Raises
-        ------
-        NotFoundError
-            If there are none.
-        ConflictError
-            If calibrations use them; their ids are in the context.
+        Raises NotFoundError if there are none; ConflictError if calibrations use them; their ids are in the context.
         """
         row = self.runs(runs_id)
         with self._sessions.begin() as session:
@@ -143,32 +76,13 @@ class KeptRuns(Kept):
         self._forget(self.runs_folder(runs_id))
 
     def runs_folder(self, runs_id: str) -> Path:
-        """Return the folder of runs that were sent together.
-
-        Parameters
-        ----------
-        runs_id : str
-            Their id.
-
-        Returns
-        -------
-        Path
-            Of a file for each, whether it exists or not.
-        """
+        """Return the folder of runs that were sent together."""
         return self._dir / "runs" / runs_id
 
 
 def safe_name(name: str) -> str:
     """Return a name that a file of the data directory may have.
 
-    Parameters
-    ----------
-    name : str
-        As the sender calls it.
-
-    Returns
-    -------
-    str
-        Letters, digits, dots, hyphens and underscores; at most 100.
+    Result: letters, digits, dots, hyphens and underscores; at most 100.
     """
     return _UNSAFE.sub("_", name).lstrip(".")[-100:] or "run"

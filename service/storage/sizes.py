@@ -8,18 +8,7 @@ from pathlib import Path
 
 
 def bytes_of(place: Path) -> int:
-    """Return the size of a file, or of all files in a folder.
-
-    Parameters
-    ----------
-    place : Path
-        Of a file, a folder, or nothing.
-
-    Returns
-    -------
-    int
-        Bytes; 0 where there is nothing. What disappears meanwhile does not count.
-    """
+    """Return the size of a file, or of all files in a folder. What disappears meanwhile does not count."""
     if not place.is_dir():
         return place.stat().st_size if place.exists() else 0
     total = 0

@@ -14,17 +14,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 def heightmap_stats(heightmap: Heightmap, *, band: int | None = None) -> dict[str, Any]:
     """Return what a listing says about a heightmap.
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The heights; at least one is known.
-    band : int, optional
-        Band of the file that they were read from.
-
-    Returns
-    -------
-    dict
-        JSON-able: frame, share of known cells, lowest and highest height and noise [m], and a hash of the heights.
+    Result: JSON-able: frame, share of known cells, lowest and highest height and noise [m], and a hash of the heights.
     """
     frame = heightmap.frame
     return {
@@ -43,17 +33,6 @@ def heightmap_stats(heightmap: Heightmap, *, band: int | None = None) -> dict[st
 
 
 def frame_of_stats(stats: Mapping[str, Any]) -> GridFrame:
-    """Return the frame of a heightmap that is kept.
-
-    Parameters
-    ----------
-    stats : mapping
-        As `heightmap_stats` returned them.
-
-    Returns
-    -------
-    GridFrame
-        Its cells and its place.
-    """
+    """Return the frame of a heightmap that is kept."""
     west, _, _, north = stats["bounds"]
     return GridFrame(west, north, stats["resolution_m"], stats["rows"], stats["cols"], stats["crs"])

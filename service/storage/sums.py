@@ -13,36 +13,15 @@ MODEL_SUMS = "model.sums.json"
 def sums_of(place: Path) -> dict[str, str]:
     """Return the checksums of a file, or of a folder part by part.
 
-    Parameters
-    ----------
-    place : Path
-        Of what is kept.
-
-    Returns
-    -------
-    dict of str to str
-        SHA-256 by the name of each file or folder within it; of a folder, of the names and contents of all its files.
-        A file itself has the name "".
+    Result: SHA-256 by the name of each file or folder within it; of a folder, of the names and contents of all its
+    files.
     """
     parts = sorted(place.iterdir()) if place.is_dir() else [place]
     return {"" if part == place else part.name: _sum_of(part) for part in parts}
 
 
 def changed(place: Path, kept: Mapping[str, str]) -> Iterator[Path]:
-    """Yield the parts that are not what was kept.
-
-    Parameters
-    ----------
-    place : Path
-        As in `sums_of`.
-    kept : mapping of str to str
-        As `sums_of` returned it.
-
-    Yields
-    ------
-    Path
-        A file or folder that has another content, or is not there.
-    """
+    """Yield the parts that are not what was kept. A file or folder that has another content, or is not there."""
     for name, kept_sum in kept.items():
         part = place / name if name else place
         if not part.exists() or _sum_of(part) != kept_sum:

@@ -136,33 +136,11 @@ WORDS = {COSTMAP: "cost map", CALIBRATION: "calibration"}
 
 
 def kind_of(job_id: str) -> str:
-    """Return the kind of a job.
-
-    Parameters
-    ----------
-    job_id : str
-        Its id.
-
-    Returns
-    -------
-    str
-        COSTMAP or CALIBRATION.
-    """
+    """Return the kind of a job."""
     return job_id.partition("-")[0]
 
 
 def named_test_runs(request: Mapping[str, Any]) -> list[str]:
-    """Return the ids of the runs that a calibration was only tested with.
-
-    Parameters
-    ----------
-    request : mapping
-        As it was stored with the calibration; older ones name these runs ``aside_runs``.
-
-    Returns
-    -------
-    list of str
-        Empty where none were named.
-    """
+    """Return the ids of the runs that a calibration was only tested with."""
     named: list[str] = request.get("test_runs", request.get("aside_runs", []))
     return named

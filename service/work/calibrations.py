@@ -34,13 +34,7 @@ _FULL_EXIT = 28  # of the process, when the disk is full
 
 
 class Refused(Exception):
-    """The runs cannot be calibrated.
-
-    Parameters
-    ----------
-    problem : dict
-        Its problem body.
-    """
+    """The runs cannot be calibrated."""
 
     def __init__(self, problem: dict[str, Any]) -> None:
         super().__init__(problem)
@@ -48,27 +42,7 @@ class Refused(Exception):
 
 
 def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
-    """Calibrate, on a worker; what is there already is not made again.
-
-    Parameters
-    ----------
-    order : mapping
-        As of `order_of`.
-    topic : str
-        Under which the share of the work that is done is reported.
-
-    Returns
-    -------
-    dict
-        The report and the id of the model.
-
-    Raises
-    ------
-    Refused
-        If the runs cannot be calibrated.
-    OSError
-        If the disk is full.
-    """
+    """Calibrate, on a worker; what is there already is not made again."""
     from distributed import get_worker
 
     folder, calibrated, worker = Path(order["folder"]), Path(order["calibrated"]), get_worker()
@@ -103,20 +77,7 @@ def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
 
 
 def main(out: Path, topic: str) -> None:
-    """Calibrate in this process as `order.json` says, and leave the report, the page and the model beside it.
-
-    Parameters
-    ----------
-    out : Path
-        Folder of the order.
-    topic : str
-        Begins the lines that tell the share of the work that is done.
-
-    Raises
-    ------
-    SystemExit
-        If the runs cannot be calibrated; `problem.json` says why.
-    """
+    """Calibrate in this process as `order.json` says, and leave the report, the page and the model beside it."""
     order = json.loads((out / _ORDER).read_text(encoding="utf-8"))
     try:
         runs = _read(order, Robot.from_mapping(order["robot"]))

@@ -17,22 +17,7 @@ _COMMAND = (
 
 
 def run_command(arguments: Sequence[str], folder: str, topic: str) -> int:
-    """Run a `joulemap` command on a worker.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Of the command line.
-    folder : str
-        Folder to run in.
-    topic : str
-        Under which every line that it prints is told.
-
-    Returns
-    -------
-    int
-        Its exit code.
-    """
+    """Run a `joulemap` command on a worker."""
     from distributed import get_worker  # which takes half a second to load
 
     worker = get_worker()
@@ -44,21 +29,7 @@ def run(
 ) -> int:
     """Run Python within a Dask task; tiles go on in the worker meanwhile.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        Of Python. What runs calls `end_with_parent` first.
-    tell : callable
-        Is given every line that the process prints.
-    cwd : str, optional
-        Folder to run in.
-    errors : bool, optional
-        Whether lines of its standard error are told too.
-
-    Returns
-    -------
-    int
-        Its exit code; negative where it was killed, for example because the task was cancelled.
+    Result: its exit code; negative where it was killed, for example because the task was cancelled.
     """
     from distributed import get_worker, secede  # which takes half a second to load
 

@@ -25,15 +25,6 @@ class StoredBase:
     """A base model that reads its answers for the cells of a lattice from a finished cost map.
 
     Everything else is asked of the base model itself.
-
-    Parameters
-    ----------
-    base : Predictor
-        The base model.
-    place : Path
-        Folder of a cost map that was made with the base model.
-    tiling : Tiling
-        Its cells.
     """
 
     def __init__(self, base: Predictor, place: Path, tiling: Tiling) -> None:
@@ -49,23 +40,8 @@ class StoredBase:
 
         Read from the cost map; computed where `frame` is not a part of it, or where it was deleted or is damaged.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            The robot.
-        frame : GridFrame
-            Cells to answer for.
-        headings_rad : ndarray of float64, (K,)
-            Clockwise from north [rad].
-
-        Returns
-        -------
-        traction_per_m : ndarray of float32, (rows, cols, K)
-            Traction [J/m].
-        std_j : ndarray of float32, (rows, cols, K), or None
-            Standard deviation [J] of a segment of 1 m, where the base knows it.
+        `headings_rad` (K,): clockwise from north [rad]. Returns `traction_per_m` (rows, cols, K): traction [J/m];
+        `std_j` (rows, cols, K): standard deviation [J] of a segment of 1 m, where the base knows it.
         """
         place = _place_in(self._tiling.frame, frame)
         if place is not None:
@@ -84,19 +60,7 @@ class StoredBase:
 def with_stored_base(source: Predictor, tiling: Tiling, finished: Iterable[Path]) -> Predictor:
     """Return the model of a cost map that is to be made, reading its base's answers where they are stored.
 
-    Parameters
-    ----------
-    source : Predictor
-        Its model.
-    tiling : Tiling
-        Its cells.
-    finished : iterable of Path
-        Folders of finished cost maps that differ in nothing but the model.
-
-    Returns
-    -------
-    Predictor
-        `source` itself where it is not calibrated, or where no finished cost map fits.
+    Result: `source` itself where it is not calibrated, or where no finished cost map fits.
     """
     if not isinstance(source, CalibratedPredictor):
         return source

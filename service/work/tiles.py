@@ -82,13 +82,7 @@ class MapOrder:
 
 
 class Tiles:
-    """The ground, the model and the tiles of an order, which are read once and not for every tile.
-
-    Parameters
-    ----------
-    order : MapOrder
-        What is to be made.
-    """
+    """The ground, the model and the tiles of an order, which are read once and not for every tile."""
 
     def __init__(self, order: MapOrder) -> None:
         self.order = order
@@ -107,15 +101,7 @@ class Tiles:
     def of(cls, order: MapOrder) -> Tiles:
         """Return what was opened for the order before by this thread, or open it.
 
-        Parameters
-        ----------
-        order : MapOrder
-            What is to be made.
-
-        Returns
-        -------
-        Tiles
-            Kept until this thread is given another order.
+        Kept until this thread is given another order.
         """
         kept: Tiles | None = getattr(_KEPT, "tiles", None)
         if kept is None or kept.order != order:
@@ -127,22 +113,7 @@ class Tiles:
 def lay_out(order: MapOrder) -> tuple[int, list[int]]:
     """Lay a cost map out where that is not done yet.
 
-    Parameters
-    ----------
-    order : MapOrder
-        What is to be made.
-
-    Returns
-    -------
-    count : int
-        Number of its tiles.
-    missing : list of int
-        Those that are not there.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the cost map was deleted.
+    Returns `count`: number of its tiles; `missing`: those that are not there.
     """
     tiles = Tiles.of(order)
     if not order.notes.exists():
@@ -159,15 +130,7 @@ def lay_out(order: MapOrder) -> tuple[int, list[int]]:
 
 
 def build(order: MapOrder, number: int) -> None:
-    """Build one tile, unless it is there. The first one's worker notes how the map is made, while others build theirs.
-
-    Parameters
-    ----------
-    order : MapOrder
-        What is to be made; it is laid out.
-    number : int
-        Of the tile.
-    """
+    """Build one tile, unless it is there. The first one's worker notes how the map is made, others build theirs."""
     if _note(order, number).exists():
         return
     tiles = Tiles.of(order)
@@ -183,15 +146,7 @@ def build(order: MapOrder, number: int) -> None:
 def finish(order: MapOrder) -> dict[str, Any]:
     """Put a cost map whose tiles are all there into its place.
 
-    Parameters
-    ----------
-    order : MapOrder
-        What is to be made.
-
-    Returns
-    -------
-    dict
-        JSON-able: robot, frame, provenance, prices and what is blocked.
+    Result: JSON-able: robot, frame, provenance, prices and what is blocked.
     """
     noted = order.notes / _SUMMARY
     with _unless_deleted(order):

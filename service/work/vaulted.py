@@ -55,13 +55,7 @@ class VaultedOrder:
         return self.order.place.relative_to(self.folder).as_posix()
 
     def here(self) -> MapOrder:
-        """Return the order for this machine, once its heightmap and its model are there.
-
-        Returns
-        -------
-        MapOrder
-            With places in the folder of copies.
-        """
+        """Return the order for this machine, once its heightmap and its model are there."""
         copies = _copies(self.folder)
         heightmap = self.order.heightmap.relative_to(self.folder)
         self.vault.fetch(heightmap.as_posix(), _ready(copies / heightmap))
@@ -73,20 +67,7 @@ class VaultedOrder:
 
 
 def lay_out(order: VaultedOrder) -> tuple[int, list[int]]:
-    """Lay a cost map out.
-
-    Parameters
-    ----------
-    order : VaultedOrder
-        What is to be made.
-
-    Returns
-    -------
-    count : int
-        Number of its tiles.
-    missing : list of int
-        Those that are not in the object store.
-    """
+    """Lay a cost map out. Returns `count`: number of its tiles; `missing`: those that are not in the object store."""
     notes = set(order.vault.names(_notes(order)))
     if f"{_notes(order)}/{_SUMMARY}" in notes:
         return 0, []
@@ -95,20 +76,7 @@ def lay_out(order: VaultedOrder) -> tuple[int, list[int]]:
 
 
 def build(order: VaultedOrder, number: int) -> None:
-    """Build one tile, unless it is in the object store.
-
-    Parameters
-    ----------
-    order : VaultedOrder
-        What is to be made.
-    number : int
-        Of the tile.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the cost map was deleted, or is done.
-    """
+    """Build one tile, unless it is in the object store."""
     if order.vault.read(_note(order, number)) is not None:
         return
     order.vault.check_begun(_notes(order))
@@ -123,18 +91,7 @@ def build(order: VaultedOrder, number: int) -> None:
 
 
 def finish(order: VaultedOrder) -> dict[str, Any]:
-    """Keep a cost map whose tiles are all there.
-
-    Parameters
-    ----------
-    order : VaultedOrder
-        What is to be made.
-
-    Returns
-    -------
-    dict
-        As `tiles.finish`.
-    """
+    """Keep a cost map whose tiles are all there."""
     noted = f"{_notes(order)}/{_SUMMARY}"
     found = order.vault.read(noted)
     if found is None:
@@ -165,20 +122,7 @@ def _unless_deleted(order: VaultedOrder) -> Iterator[None]:
 
 
 def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
-    """Calibrate; what is in the object store already is not made again.
-
-    Parameters
-    ----------
-    order : mapping
-        As of `order_of`, with an object store.
-    topic : str
-        Under which the share of the work that is done is reported.
-
-    Returns
-    -------
-    dict
-        As `calibrations.calibrate`.
-    """
+    """Calibrate; what is in the object store already is not made again."""
     folder = Path(order["data_folder"])
     vault, copies = _vault(order["object_store"]), _copies(folder)
 

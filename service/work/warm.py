@@ -14,17 +14,7 @@ from joulemap.service.warm_up import warm_up_models
 
 
 class Warm(WorkerPlugin):
-    """Loads kernels and models in every worker, those that come later among them.
-
-    Parameters
-    ----------
-    models : sequence of str
-        Names of models.
-    models_dir : Path
-        Folder of trained models.
-    nice : int
-        By how much the workers give way to other processes, such as the service that answers questions.
-    """
+    """Loads kernels and models in every worker, those that come later among them."""
 
     name = "joulemap"
 
@@ -32,13 +22,7 @@ class Warm(WorkerPlugin):
         self._models, self._models_dir, self._nice = tuple(models), models_dir, nice
 
     async def setup(self, worker: Any) -> None:
-        """Begin to load; the worker takes tasks meanwhile.
-
-        Parameters
-        ----------
-        worker : distributed.Worker
-            The worker at hand.
-        """
+        """Begin to load; the worker takes tasks meanwhile."""
         os.nice(self._nice)
         worker.joulemap_warm = asyncio.create_task(asyncio.to_thread(self._load))
 

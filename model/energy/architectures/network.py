@@ -8,12 +8,6 @@ from torch import nn
 
 
 class Network(nn.Module):
-    """A network that answers for 1 m segments.
-
-    Attributes
-    ----------
-    architecture : str
-        Name of its architecture in `ARCHITECTURES`.
-    """
+    """A network that answers for 1 m segments."""
 
     architecture: ClassVar[str]

@@ -34,15 +34,7 @@ _HEIGHT_SCALE_M = 0.1  # brings the heights of a patch to about one, as an image
 
 
 class BasicBlock(nn.Module):
-    """Two 3 x 3 convolutions and a shortcut.
-
-    Parameters
-    ----------
-    inputs, outputs : int
-        Channels.
-    stride : int
-        Of the first convolution. Where the shape changes, the shortcut is a convolution too (`downsample`).
-    """
+    """Two 3 x 3 convolutions and a shortcut."""
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
         super().__init__()
@@ -57,18 +49,7 @@ class BasicBlock(nn.Module):
             )
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply the block.
-
-        Parameters
-        ----------
-        x : Tensor, (B, inputs, H, W)
-            Features.
-
-        Returns
-        -------
-        Tensor, (B, outputs, H / stride, W / stride)
-            Features.
-        """
+        """Apply the block. `x` (B, inputs, H, W): features. The result is (B, outputs, H / stride, W / stride)."""
         shortcut = x if self.downsample is None else self.downsample(x)
         out = torch.relu(self.bn1(self.conv1(x)))
         return torch.relu(self.bn2(self.conv2(out)) + shortcut)
@@ -93,15 +74,7 @@ class ResNet18Backbone(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Describe images by 512 numbers each.
 
-        Parameters
-        ----------
-        x : Tensor, (B, 3, H, W)
-            Images.
-
-        Returns
-        -------
-        Tensor, (B, 512)
-            Means over the last layer's pixels.
+        `x` is (B, 3, H, W). Result (B, 512): means over the last layer's pixels.
         """
         x = self.maxpool(torch.relu(self.bn1(self.conv1(x))))  # (B, 64, H / 4, W / 4)
         x = self.layer4(self.layer3(self.layer2(self.layer1(x))))  # (B, 512, H / 32, W / 32)
@@ -129,15 +102,7 @@ class ResNetEnergy(Network):
     def forward(self, patches: Tensor) -> Tensor:
         """Answer for patches.
 
-        Parameters
-        ----------
-        patches : Tensor, (B, S, S)
-            Heights [m], minimum subtracted.
-
-        Returns
-        -------
-        Tensor, (B,)
-            Scaled energy [A s].
+        `patches` (B, S, S): heights [m], minimum subtracted. Result (B,): scaled energy [A s].
         """
         image = (patches / _HEIGHT_SCALE_M)[:, None].expand(-1, 3, -1, -1)  # (B, 3, S, S)
         return self.target_mean + self.target_scale * self.head(self.backbone(image))[:, 0]
@@ -152,23 +117,7 @@ def fastest_device() -> torch.device:
 
 
 def load_backbone(path: str | Path) -> ResNet18Backbone:
-    """Read a backbone from a file with torchvision's names, ImageNet's for instance.
-
-    Parameters
-    ----------
-    path : str or Path
-        File of weights: .pth, .pt or .safetensors. Everything but `fc.*` must fit exactly.
-
-    Returns
-    -------
-    ResNet18Backbone
-        With these weights.
-
-    Raises
-    ------
-    ModelError
-        If there is no such file, or its weights do not fit.
-    """
+    """Read a backbone from a file with torchvision's names, ImageNet's for instance."""
     path = Path(path)
     if not path.is_file():
         raise ModelError(f"there is no weights file {path}", path=str(path))
@@ -208,11 +157,11 @@ class ResNet18(Architecture[ResNetEnergy]):
     at_once = 256
     training = TrainingDefaults(learning_rate=1e-4, batch=32, epochs=60, least_batch=2)
 
-    def build(self, config: Mapping[str, Any], *, size: int) -> ResNetEnergy:  # numpydoc ignore=PR01,RT03
+    def build(self, config: Mapping[str, Any], *, size: int) -> ResNetEnergy:
         """Make a network, as `Architecture.build`. It reads patches of any size and has no settings."""
         return ResNetEnergy()
 
-    def config_of(self, net: ResNetEnergy) -> dict[str, Any]:  # numpydoc ignore=PR01,RT03
+    def config_of(self, net: ResNetEnergy) -> dict[str, Any]:
         """Describe a network, as `Architecture.config_of`: there is nothing to say."""
         return {}
 
@@ -225,7 +174,7 @@ class ResNet18(Architecture[ResNetEnergy]):
         *,
         size: int,
         turned_rad: FloatArray,
-    ) -> NDArray[np.float32]:  # numpydoc ignore=PR01,RT03
+    ) -> NDArray[np.float32]:
         """Cut the paper's patches along the heading, as `Architecture.cut_inputs`; each starts with its segment."""
         dx, dy = heading_vector(heading_rad)
         half = 0.5 * SEGMENT_M
@@ -241,14 +190,14 @@ class ResNet18(Architecture[ResNetEnergy]):
         quarter_turns: int = 0,
         mirror: bool = False,
         jitter: float = 0.0,
-    ) -> NetworkOutput:  # numpydoc ignore=PR01,RT03
+    ) -> NetworkOutput:
         """Ask a network, as `Architecture.answer`. It gives the energy directly and knows no traction or spread."""
         inputs = data.inputs[part]
         if mirror:
             inputs = inputs.flip(2)
         return NetworkOutput(net(inputs) * data.voltage[part], data.measured[part].abs().clamp_min(1e-6), None)
 
-    def initial(self, examples: Examples, start_from: ResNetEnergy | None) -> ResNetEnergy:  # numpydoc ignore=PR01,RT03
+    def initial(self, examples: Examples, start_from: ResNetEnergy | None) -> ResNetEnergy:
         """Return the network that a training starts with, as `Architecture.initial`.
 
         A head that was never trained starts at the mean and the standard deviation of the data.
@@ -260,7 +209,7 @@ class ResNet18(Architecture[ResNetEnergy]):
             net.target_scale = torch.tensor(max(float(scaled.std()), 1e-6))
         return net
 
-    def scaled(self, net: ResNetEnergy, factor: float) -> ResNetEnergy:  # numpydoc ignore=PR01,RT03
+    def scaled(self, net: ResNetEnergy, factor: float) -> ResNetEnergy:
         """Return a network with more energy, as `Architecture.scaled`."""
         other = deepcopy(net)
         other.target_mean, other.target_scale = factor * net.target_mean, factor * net.target_scale
@@ -270,11 +219,11 @@ class ResNet18(Architecture[ResNetEnergy]):
         """Return the graphics processor where torch has one."""
         return fastest_device()
 
-    def backbone_of(self, net: ResNetEnergy) -> nn.Module:  # numpydoc ignore=PR01,RT03
+    def backbone_of(self, net: ResNetEnergy) -> nn.Module:
         """Return everything but the head."""
         return net.backbone
 
-    def from_backbone(self, path: Path) -> ResNetEnergy:  # numpydoc ignore=PR01,RT03
+    def from_backbone(self, path: Path) -> ResNetEnergy:
         """Make a network around a backbone's weights, as `Architecture.from_backbone`."""
         net = ResNetEnergy()
         net.backbone = load_backbone(path)

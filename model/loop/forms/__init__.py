@@ -66,23 +66,7 @@ FORMS: dict[str, type[Form]] = {form.key: form for form in _EVERY}
 
 
 def form_from_dict(values: Mapping[str, Any]) -> Form:
-    """Read a form from what `Form.as_dict` returned.
-
-    Parameters
-    ----------
-    values : mapping
-        With the key under `form`.
-
-    Returns
-    -------
-    Form
-        With its settings.
-
-    Raises
-    ------
-    ModelError
-        If this version does not know the form or a setting that is not off, or a setting is missing.
-    """
+    """Read a form from what `Form.as_dict` returned."""
     key = values.get("form")
     if key not in FORMS:
         raise ModelError(f"the model has an effect of the form {key!r}, which this version does not know")

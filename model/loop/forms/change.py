@@ -17,16 +17,14 @@ _LEAST_RUNS = 2  # before and after a step: one run that differs is a run that d
 class Change(Form):
     """A share of everything that is added from a time on, as after a repair, a puncture or a bearing that fails.
 
+    Reference: Hinkley 1970, "Inference about the change-point in a sequence of random variables".
+
     Attributes
     ----------
     from_s : float
         Stamp from which it is there [s].
     run : int
         Number of the first run after it, from 1 in the order of time.
-
-    References
-    ----------
-    Hinkley 1970, "Inference about the change-point in a sequence of random variables".
     """
 
     from_s: float

@@ -15,15 +15,13 @@ from joulemap.model.runs.features import Features, FloatArray
 class Climbing(Form):
     """Share of the energy of climbing that is added.
 
+    Reference: Wong 2008, "Theory of Ground Vehicles", section 2.9 (slip and tractive effort).
+
     Attributes
     ----------
     slipping : bool
         A share of the whole traction that grows with the grade, as of wheels that slip: 1 / (1 - s) with s in
         proportion to the grade, to first order.
-
-    References
-    ----------
-    Wong 2008, "Theory of Ground Vehicles", section 2.9 (slip and tractive effort).
     """
 
     slipping: bool = False

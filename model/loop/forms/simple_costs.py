@@ -44,18 +44,7 @@ class SimpleCosts(Form):
         return np.stack([np.nan_to_num(_COLUMNS[name][2](rows)) for name in self.names], axis=1)
 
     def fitted(self, rows: Residuals) -> tuple[float, ...]:
-        """Fit it by least squares.
-
-        Parameters
-        ----------
-        rows : Residuals
-            Of which all metres count.
-
-        Returns
-        -------
-        tuple of float
-            Its coefficients.
-        """
+        """Fit it by least squares."""
         metres = rows.take(rows.moving)
         x = self.columns(metres.features)
         low = np.array([_COLUMNS[name][1] for name in self.names])

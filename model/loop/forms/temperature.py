@@ -17,6 +17,9 @@ _OF_OIL_PER_K = 0.06  # mineral oils from 0 to 40 degC: 0.05 of ISO VG 10 to 0.0
 class Temperature(Form):
     """Energy that changes with the logged temperature.
 
+    Reference: Stachowiak & Batchelor 2014, "Engineering Tribology", section 2.4 (the viscosity of oil: Reynolds'
+    equation).
+
     Attributes
     ----------
     reference : float
@@ -26,10 +29,6 @@ class Temperature(Form):
         (a heater).
     rate_per_k : float
         By which it falls exponentially, as the viscosity of oil does; 0 for a straight line.
-
-    References
-    ----------
-    Stachowiak & Batchelor 2014, "Engineering Tribology", section 2.4 (the viscosity of oil: Reynolds' equation).
     """
 
     reference: float

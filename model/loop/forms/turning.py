@@ -14,6 +14,8 @@ from joulemap.model.runs.track import TURN_LIMITS_RADPS
 class Turning(Form):
     """Turning to either side, up to a rate or a curvature at which scrubbing saturates.
 
+    Reference: Morales et al. 2009, "Power consumption modeling of skid-steer tracked mobile robots on rigid terrain".
+
     Attributes
     ----------
     limit_radps : float, optional
@@ -21,10 +23,6 @@ class Turning(Form):
         costs the same.
     limit_per_m : float, optional
         Curvature above which a tighter turn takes no more current from motors [rad/m].
-
-    References
-    ----------
-    Morales et al. 2009, "Power consumption modeling of skid-steer tracked mobile robots on rigid terrain".
     """
 
     limit_radps: float | None = None

@@ -17,15 +17,13 @@ _TIMES_S = (150.0, 600.0, 2400.0)  # of a small motor, of a gearbox, of a tyre o
 class WarmingUp(Form):
     """Energy per metre that a cold robot takes more, and that falls exponentially since the start of a run.
 
+    Reference: Wong 2008, "Theory of Ground Vehicles", section 1.2: the rolling resistance of a tyre falls with its
+    temperature, which approaches that of steady driving exponentially.
+
     Attributes
     ----------
     time_s : float
         In which it falls to 1/e [s].
-
-    References
-    ----------
-    Wong 2008, "Theory of Ground Vehicles", section 1.2: the rolling resistance of a tyre falls with its temperature,
-    which approaches that of steady driving exponentially.
     """
 
     time_s: float

@@ -15,15 +15,13 @@ from joulemap.model.runs.features import Features, FloatArray, quantity
 class Wind(Form):
     """Aerodynamic drag along the motion in the logged wind, less that in still air.
 
+    Reference: Wong 2008, "Theory of Ground Vehicles", section 3.2 (the square).
+
     Attributes
     ----------
     law : {"air", "head", "linear"}
         With the square of the speed of the air that the robot meets, from any side; with that of its component from
         ahead; or in proportion to the component of the wind.
-
-    References
-    ----------
-    Wong 2008, "Theory of Ground Vehicles", section 3.2 (the square).
     """
 
     law: str = "air"

@@ -36,49 +36,12 @@ _PAGE_BYTES = 528  # of a memory card: the library looks for no marks in so much
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark of the first message.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for a dataflash log.
-    """
+    """Decide by the mark of the first message."""
     return head.startswith(_MAGIC) or head.lstrip().startswith(_TEXT)
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
-    """Read the messages that a run needs.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The log.
-    mapping : mapping of str to str
-        Kinds of messages that it names are read too; the second battery is `BAT[1]`.
-    limits : TableLimits
-        How large it may be.
-    repairs : dict
-        Not used.
-
-    Returns
-    -------
-    Log
-        A stream for each kind of message, and for each instance of it.
-
-    Raises
-    ------
-    RunsError
-        If it is corrupt, or holds nothing that a run needs.
-    TooLargeError
-        If it is larger than the limits.
-    """
+    """Read the messages that a run needs. Result: a stream for each kind of message, and for each instance of it."""
     from pymavlink.DFReader import DFReader_binary, DFReader_text
 
     class _Reader(DFReader_binary):

@@ -30,15 +30,7 @@ _HALF = 0.5  # most cells
 def named(columns: Sequence[str]) -> list[str]:
     """Return names of columns of which no two are alike and none is empty or too long.
 
-    Parameters
-    ----------
-    columns : sequence of str
-        As the file has them.
-
-    Returns
-    -------
-    list of str
-        `column 7` for the seventh that has no name, `speed (2)` for the second of that name.
+    Result: `column 7` for the seventh that has no name, `speed (2)` for the second of that name.
     """
     found: dict[str, None] = {}
     for k, column in enumerate(columns, start=1):
@@ -54,31 +46,7 @@ def named(columns: Sequence[str]) -> list[str]:
 def stream_of(
     table: Any, name: str, limits: TableLimits, units: dict[str, str] | None = None, *, title: str = ""
 ) -> Stream:
-    """Return the columns of an Arrow table.
-
-    Parameters
-    ----------
-    table : pyarrow.Table
-        Of any types; columns of lists and structures are left out.
-    name : str
-        Of the run, for messages.
-    limits : TableLimits
-        How much memory texts may take; columns of longer ones are left out.
-    units : dict of str to str, optional
-        Of columns, as the file says them.
-    title : str, optional
-        Of the stream.
-
-    Returns
-    -------
-    Stream
-        Without stamps of its own.
-
-    Raises
-    ------
-    TooLargeError
-        If the table is larger than the limits.
-    """
+    """Return the columns of an Arrow table."""
     limits.check(table.num_rows, table.num_columns, name)
     numbers: dict[str, FloatArray] = {}
     texts: dict[str, TextArray] = {}

@@ -81,49 +81,12 @@ class LogModule(Protocol):
     """The functions of a format's module."""
 
     def recognise(self, head: bytes, name: str) -> bool:
-        """Decide whether a file is of this format.
-
-        Parameters
-        ----------
-        head : bytes
-            The first bytes of the file, 512 at most.
-        name : str
-            The file's name, for a format whose content has no mark.
-
-        Returns
-        -------
-        bool
-            True where `decode` is to read the file.
-        """
+        """Decide whether a file is of this format."""
 
     def decode(
         self, source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]
     ) -> Log:
-        """Read the columns that a run needs, and those that the mapping names.
-
-        Parameters
-        ----------
-        source : SourceFile
-            The file.
-        mapping : mapping of str to str
-            What the user wants to be taken from where; `mentioned` finds a topic in it.
-        limits : TableLimits
-            How large the table may be; what a file declares is compared with it before memory is allocated.
-        repairs : dict
-            Counts by rule, which are added to.
-
-        Returns
-        -------
-        Log
-            Streams of columns.
-
-        Raises
-        ------
-        RunsError
-            If the file is broken; the message says where.
-        TooLargeError
-            If it is larger than the limits.
-        """
+        """Read the columns that a run needs, and those that the mapping names."""
 
 
 @dataclass(frozen=True)
@@ -156,20 +119,7 @@ class LogFormat:
         return cast(LogModule, import_module(self.module, __package__))
 
     def missing(self, name: str, error: ImportError) -> RunsError:
-        """Return the error for a file of this format where a library is not installed.
-
-        Parameters
-        ----------
-        name : str
-            Of the run.
-        error : ImportError
-            What importing the library raised.
-
-        Returns
-        -------
-        RunsError
-            That says what to install.
-        """
+        """Return the error for a file of this format where a library is not installed."""
         return RunsError(
             f"run {name} is a {self.name}; the library {error.name} that reads it is not installed: "
             f"pip install 'joulemap[{self.extra}]'",
@@ -181,39 +131,13 @@ class LogFormat:
 def mentioned(mapping: Mapping[str, str], topic: str) -> bool:
     """Decide whether a mapping takes something from a topic.
 
-    Parameters
-    ----------
-    mapping : mapping of str to str
-        From the user.
-    topic : str
-        Name of the topic.
-
-    Returns
-    -------
-    bool
-        True where one of its sources has the topic's name, followed by a point.
+    Result: True where one of its sources has the topic's name, followed by a point.
     """
     return any(f"{topic}." in source for source in mapping.values())
 
 
 def content_of(source: SourceFile) -> bytes:
-    """Return all bytes of a file.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-
-    Returns
-    -------
-    bytes
-        Its content.
-
-    Raises
-    ------
-    RunsError
-        If it cannot be read.
-    """
+    """Return all bytes of a file."""
     if isinstance(source.place, bytes):
         return source.place
     try:

@@ -16,15 +16,7 @@ def fill_at(file: Path) -> int:
 
     Room for a log may be taken before it is written, and stays so where the power is cut.
 
-    Parameters
-    ----------
-    file : Path
-        The log.
-
-    Returns
-    -------
-    int
-        Its length where its last byte is another one [bytes]. Such bytes may also end the last record.
+    Result: its length where its last byte is another one [bytes].
     """
     with file.open("rb") as stream:
         at = stream.seek(0, 2)
@@ -44,22 +36,7 @@ def fill_at(file: Path) -> int:
 
 
 def filled(kind: str, file: Path, at: int) -> str:
-    """Return the note of a log that ends in nothing but one byte again and again.
-
-    Parameters
-    ----------
-    kind : str
-        What the file is, in words.
-    file : Path
-        The log.
-    at : int
-        Where that begins [bytes].
-
-    Returns
-    -------
-    str
-        A sentence.
-    """
+    """Return the note of a log that ends in nothing but one byte again and again. `at`: where that begins [bytes]."""
     size = file.stat().st_size
     with file.open("rb") as stream:
         stream.seek(-1, 2)
@@ -73,15 +50,7 @@ def filled(kind: str, file: Path, at: int) -> str:
 class FiniteStream:
     """A binary stream that a library cannot read beyond its end for ever, as a corrupt count would have it.
 
-    Parameters
-    ----------
-    stream : BinaryIO
-        The file.
-    end : int, optional
-        Where it ends for the library [bytes]; by default where it ends.
-    most_steps : int, optional
-        How often the library may look for a record one byte further: read a single byte, or go back. By default as
-        often as it wants.
+    `end`: where it ends for the library [bytes], by default where it ends.
     """
 
     def __init__(self, stream: BinaryIO, *, end: int | None = None, most_steps: int | None = None) -> None:
@@ -93,25 +62,7 @@ class FiniteStream:
         return getattr(self._stream, name)
 
     def read(self, size: int = -1) -> bytes:
-        """Return the next bytes.
-
-        Parameters
-        ----------
-        size : int, optional
-            How many; all without it.
-
-        Returns
-        -------
-        bytes
-            Fewer at the end of the file.
-
-        Raises
-        ------
-        EOFError
-            If the end was reached too often.
-        RuntimeError
-            If too many single bytes were read.
-        """
+        """Return the next bytes."""
         if size == 1:
             self._step()
         left = size
@@ -123,23 +74,7 @@ class FiniteStream:
         return data
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Go to a place.
-
-        Parameters
-        ----------
-        offset, whence : int
-            As of a file.
-
-        Returns
-        -------
-        int
-            The place [bytes].
-
-        Raises
-        ------
-        RuntimeError
-            If it went back too often.
-        """
+        """Go to a place. Result: the place [bytes]."""
         if whence == 1 and offset < 0:
             self._step()
         place: int = self._stream.seek(offset, whence)
@@ -152,23 +87,7 @@ class FiniteStream:
             raise RuntimeError(f"more than {self._most_steps:,} bytes are no part of a record")
 
     def readinto(self, buffer: Any) -> int:
-        """Read into memory.
-
-        Parameters
-        ----------
-        buffer : buffer
-            Where to.
-
-        Returns
-        -------
-        int
-            How many bytes were read.
-
-        Raises
-        ------
-        EOFError
-            If the end was reached too often.
-        """
+        """Read into memory."""
         count: int = self._stream.readinto(buffer)
         self._count(count < len(buffer))
         return count
@@ -182,15 +101,7 @@ class FiniteStream:
 class FiniteMap:
     """Bytes that a library cannot look at for ever, as a message of length zero would have it.
 
-    Parameters
-    ----------
-    data : mmap
-        The file.
-
-    Attributes
-    ----------
-    at : int
-        Where it was looked at last [bytes].
+    `at`: where it was looked at last [bytes].
     """
 
     def __init__(self, data: Any) -> None:

@@ -26,49 +26,12 @@ _FIELDS = (
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark in the header.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for a FIT file.
-    """
+    """Decide by the mark in the header."""
     return head[8:12] == b".FIT" and head[0] in (12, 14)
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
-    """Read the records.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-    mapping : mapping of str to str
-        Where it names `record.`, all numbers of the records are read, also those of developers.
-    limits : TableLimits
-        How large it may be.
-    repairs : dict
-        Not used.
-
-    Returns
-    -------
-    Log
-        Of one stream, `record`.
-
-    Raises
-    ------
-    RunsError
-        If it is truncated or corrupt, or has no records.
-    TooLargeError
-        If it is larger than the limits.
-    """
+    """Read the records."""
     import fitdecode
 
     collector = Collector(source.name, limits)

@@ -19,49 +19,12 @@ _LONGEST_LIST = 16  # a longer list in a record is no reading
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the first character.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for an object or a list.
-    """
+    """Decide by the first character."""
     return head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] in (b"{", b"[")
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
-    """Read the records.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-    mapping : mapping of str to str
-        Not used: all fields are read. One inside another has a name with a point, such as `gps.lat`.
-    limits : TableLimits
-        How large it may be.
-    repairs : dict
-        Counts by rule, which are added to.
-
-    Returns
-    -------
-    Log
-        Of one stream.
-
-    Raises
-    ------
-    RunsError
-        If it is broken, or holds no records.
-    TooLargeError
-        If it is larger than the limits.
-    """
+    """Read the records."""
     name = source.name
     content = content_of(source).removeprefix(b"\xef\xbb\xbf")
     try:
@@ -74,24 +37,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
 def columns_of(records: Iterable[Mapping[str, Any]], name: str, limits: TableLimits) -> Any:
     """Return records as a table.
 
-    Parameters
-    ----------
-    records : iterable of mapping
-        By name of the field a number or a text.
-    name : str
-        Of the run, for messages.
-    limits : TableLimits
-        How large it may be.
-
-    Returns
-    -------
-    pyarrow.Table
-        A field that a record lacks is unknown there; fields of fewer than `LEAST_ROWS` records are left out.
-
-    Raises
-    ------
-    TooLargeError
-        If it is larger than the limits.
+    A field that a record lacks is unknown there; fields of fewer than `LEAST_ROWS` records are left out.
     """
     import pyarrow as pa
 

@@ -32,20 +32,7 @@ _KINDS = {
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by a time of this century before the mark of a message.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for a telemetry log.
-    """
+    """Decide by a time of this century before the mark of a message."""
     if len(head) < 12 or head[8] not in _MARKS:
         return False
     (stamp,) = struct.unpack(">Q", head[:8])
@@ -53,31 +40,7 @@ def recognise(head: bytes, name: str) -> bool:
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
-    """Read the messages that a run needs.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The log.
-    mapping : mapping of str to str
-        Kinds of messages that it names are read too.
-    limits : TableLimits
-        How large it may be.
-    repairs : dict
-        Not used.
-
-    Returns
-    -------
-    Log
-        A stream for each kind of message.
-
-    Raises
-    ------
-    RunsError
-        If it is corrupt, or holds nothing that a run needs.
-    TooLargeError
-        If it is larger than the limits.
-    """
+    """Read the messages that a run needs."""
     from pymavlink import mavutil
 
     collector = Collector(source.name, limits)

@@ -28,15 +28,7 @@ class _Topic:
 
 
 class Collector:
-    """Collects the values of messages as they are read.
-
-    Parameters
-    ----------
-    name : str
-        Of the run, for messages.
-    limits : TableLimits
-        How many messages and values there may be.
-    """
+    """Collects the values of messages as they are read."""
 
     def __init__(self, name: str, limits: TableLimits) -> None:
         self._name = name
@@ -46,24 +38,7 @@ class Collector:
         self.messages = 0
 
     def add(self, topic: str, recorded_s: float, values: Mapping[str, float], sent_s: float = float("nan")) -> None:
-        """Take the values of one message.
-
-        Parameters
-        ----------
-        topic : str
-            Where it was sent.
-        recorded_s : float
-            When it was recorded [s].
-        values : mapping of str to float
-            By name of the field.
-        sent_s : float, optional
-            When the sender says that it was sent [s].
-
-        Raises
-        ------
-        TooLargeError
-            If there are more than the limits.
-        """
+        """Take the values of one message."""
         found = self._topics.setdefault(topic, _Topic())
         before = len(found.recorded)
         found.recorded.append(recorded_s)
@@ -91,11 +66,8 @@ class Collector:
     def streams(self) -> tuple[Stream, ...]:
         """Return what was collected.
 
-        Returns
-        -------
-        tuple of Stream
-            One for each topic; a column's name is `topic.field`. Stamps are those of the senders where their clock is
-            that of the recording.
+        Result: one for each topic; a column's name is `topic.field`. Stamps are those of the senders where their clock
+        is that of the recording.
         """
         return tuple(
             Stream(
@@ -123,21 +95,8 @@ def log_of(
 ) -> Log:
     """Return a log in which columns are found by the types of messages.
 
-    Parameters
-    ----------
-    streams : sequence of Stream
-        All of them.
-    wanted : mapping of str to sequence of (str, str)
-        By joulemap's column, the columns that may be it, the best kind first, each with its unit.
-    prefer : sequence of sequence of str
-        Groups of joulemap's columns of which only the first that is complete is used: a position in degrees or metres.
-    notes : sequence of str, optional
-        What is to be known of the file.
-
-    Returns
-    -------
-    Log
-        Of each column the first candidate that is mostly known; of candidates of one kind that with most values.
+    Result: one of each column the first candidate that is mostly known; of candidates of one kind that with most
+    values.
     """
     known = {
         column: int(np.isfinite(values).sum()) if np.isfinite(values).mean() > 0.5 else 0
@@ -165,31 +124,7 @@ def log_of(
 
 @contextmanager
 def reading(kind: str, name: str, place: Callable[[], str], *, repair: str = "") -> Iterator[None]:
-    """Turn whatever a library raises on a broken file into an error that says where, and keep it from printing.
-
-    Parameters
-    ----------
-    kind : str
-        What the file is, in words.
-    name : str
-        Of the run.
-    place : callable
-        Says how far the file was read.
-    repair : str, optional
-        Command that repairs such a file.
-
-    Yields
-    ------
-    None
-        While the library reads.
-
-    Raises
-    ------
-    RunsError
-        If the library fails.
-    TooLargeError
-        If it asks for more memory than there is.
-    """
+    """Turn whatever a library raises on a broken file into an error that says where, and keep it from printing."""
     said = _Complaints()
     try:
         with redirect_stdout(said), redirect_stderr(said):
@@ -244,19 +179,7 @@ class _Complaints(io.TextIOBase):
 def cut_off(kind: str, at: int, size: int) -> str:
     """Return the note of a log whose last record is not whole, because the robot was switched off for example.
 
-    Parameters
-    ----------
-    kind : str
-        What the file is, in words.
-    at : int
-        Where the record begins [bytes].
-    size : int
-        Length of the file [bytes].
-
-    Returns
-    -------
-    str
-        A sentence.
+    `at`: where the record begins [bytes]; `size`: length of the file [bytes].
     """
     where = f"in the middle of a record that begins at byte {at:,} of {size:,}" if at < size else f"at byte {size:,}"
     return f"the {kind} was cut off: it ends {where}. What comes before is kept"

@@ -22,49 +22,12 @@ _BATCH_TEXTS = 1_000  # where texts come in full, however long they are
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark at the start of the file.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for a Parquet file.
-    """
+    """Decide by the mark at the start of the file."""
     return head.startswith(_MAGIC)
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
-    """Read the table of a Parquet file.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-    mapping : mapping of str to str
-        Not used: all columns are read.
-    limits : TableLimits
-        How large it may be.
-    repairs : dict
-        Not used: nothing is repaired.
-
-    Returns
-    -------
-    Log
-        Of one stream.
-
-    Raises
-    ------
-    RunsError
-        If it cannot be read.
-    TooLargeError
-        If it is larger than the limits.
-    """
+    """Read the table of a Parquet file."""
     import pyarrow as pa
 
     name = source.name

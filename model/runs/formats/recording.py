@@ -24,52 +24,13 @@ class Decode(Protocol):
     def __call__(
         self, source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]
     ) -> Log:
-        """Read the topics that a run needs.
-
-        Parameters
-        ----------
-        source : SourceFile
-            The file.
-        mapping : mapping of str to str
-            Topics that it names are read too.
-        limits : TableLimits
-            How large it may be.
-        repairs : dict
-            Not used.
-
-        Returns
-        -------
-        Log
-            A stream for each topic.
-
-        Raises
-        ------
-        RunsError
-            If it is corrupt, or holds no topic that a run needs.
-        TooLargeError
-            If it is larger than the limits.
-        """
+        """Read the topics that a run needs."""
 
 
 def decoder(
     kind: str, open_recording: Callable[[SourceFile], AbstractContextManager[Recording]], *, repair: str = ""
 ) -> Decode:
-    """Return the function `decode` of a kind of recordings.
-
-    Parameters
-    ----------
-    kind : str
-        What the file is, in words.
-    open_recording : callable
-        Opens it.
-    repair : str, optional
-        Command that repairs such a file.
-
-    Returns
-    -------
-    callable
-        For the format's module.
-    """
+    """Return the function `decode` of a kind of recordings."""
 
     def _decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
         return read_parts(kind, source.name, [lambda: open_recording(source)], mapping, limits, repair=repair)
@@ -80,35 +41,7 @@ def decoder(
 def read_parts(
     kind: str, name: str, parts: Iterable[Part], mapping: Mapping[str, str], limits: TableLimits, *, repair: str = ""
 ) -> Log:
-    """Read the files of one recording.
-
-    Parameters
-    ----------
-    kind : str
-        What they are, in words.
-    name : str
-        Of the run.
-    parts : iterable of callable
-        Each opens one of them.
-    mapping : mapping of str to str
-        Topics that it names are read, beside those of the types that a run needs.
-    limits : TableLimits
-        How large all of it may be.
-    repair : str, optional
-        Command that repairs such a file.
-
-    Returns
-    -------
-    Log
-        A stream for each topic.
-
-    Raises
-    ------
-    RunsError
-        If a file is corrupt, or if no topic is one that a run needs.
-    TooLargeError
-        If they are larger than the limits.
-    """
+    """Read the files of one recording."""
     collector = Collector(name, limits)
     topics: dict[str, Topic] = {}
     notes: list[str] = []

@@ -31,37 +31,13 @@ _DEEPEST = 8
 def is_wanted(topic: Topic, mapping: Mapping[str, str]) -> bool:
     """Decide whether the messages of a topic are read.
 
-    Parameters
-    ----------
-    topic : Topic
-        With the type of its messages.
-    mapping : mapping of str to str
-        From the user.
-
-    Returns
-    -------
-    bool
-        True for the types that a run needs, and for topics that the mapping names.
+    Result: True for the types that a run needs, and for topics that the mapping names.
     """
     return short_type(topic.kind) in _KINDS or mentioned(mapping, topic.name)
 
 
 def collect(collector: Collector, topic: Topic, recorded_s: float, message: Any, *, whole: bool) -> None:
-    """Take the numbers of a message.
-
-    Parameters
-    ----------
-    collector : Collector
-        Takes them.
-    topic : Topic
-        With the type of its messages.
-    recorded_s : float
-        When it was recorded [s].
-    message : object or dict
-        The message.
-    whole : bool
-        Whether all its numbers are taken, and not those alone that a run needs.
-    """
+    """Take the numbers of a message."""
     values: dict[str, float] = {}
     kind = short_type(topic.kind)
     if whole:
@@ -87,19 +63,7 @@ def _sent(message: Any) -> float:
 def ros_log(streams: Sequence[Stream], kinds: Mapping[str, str], *, notes: Sequence[str] = ()) -> Log:
     """Return a log whose columns are found by the types of their topics.
 
-    Parameters
-    ----------
-    streams : sequence of Stream
-        One for each topic.
-    kinds : mapping of str to str
-        Type by topic.
-    notes : sequence of str, optional
-        What is to be known of the file.
-
-    Returns
-    -------
-    Log
-        Positions in degrees come before those in metres, a pose before odometry.
+    Result: positions in degrees come before those in metres, a pose before odometry.
     """
     most = sorted(streams, key=lambda stream: -(0 if stream.t is None else stream.t.size))
 

@@ -17,30 +17,6 @@ __all__ = ["decode", "recognise"]
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
-    """Read the topics that a run needs from all files.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The folder, its metadata.yaml, or an archive.
-    mapping : mapping of str to str
-        Topics that it names are read too.
-    limits : TableLimits
-        How large all of it may be.
-    repairs : dict
-        Not used.
-
-    Returns
-    -------
-    Log
-        A stream for each topic.
-
-    Raises
-    ------
-    RunsError
-        If a file is corrupt, or no topic is one that a run needs.
-    TooLargeError
-        If it is larger than the limits.
-    """
+    """Read the topics that a run needs from all files."""
     with reading("archive", source.name, lambda: "in its list of files"), parts_of(source) as parts:
         return read_parts("ROS 2 bag", source.name, [partial(open_recording, part) for part in parts], mapping, limits)

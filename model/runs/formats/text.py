@@ -30,50 +30,12 @@ _BLOCK_BYTES = 1 << 22
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Take any file: what is no text is refused as it is read.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Its name.
-
-    Returns
-    -------
-    bool
-        True.
-    """
+    """Take any file: what is no text is refused as it is read."""
     return True
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
-    """Read a table from a text.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The text.
-    mapping : mapping of str to str
-        Not used: all columns are read.
-    limits : TableLimits
-        How large it may be.
-    repairs : dict
-        Counts by rule, which are added to: a last line that breaks off is dropped, other lines are made as long as the
-        header.
-
-    Returns
-    -------
-    Log
-        Of one stream.
-
-    Raises
-    ------
-    RunsError
-        If it is no table.
-    TooLargeError
-        If it is larger than the limits.
-    """
+    """Read a table from a text."""
     import pyarrow as pa
     from pyarrow import csv as arrow
 

@@ -38,49 +38,12 @@ _KINDS = (
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark at the start of the file.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for a ULog file.
-    """
+    """Decide by the mark at the start of the file."""
     return head.startswith(_MAGIC)
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
-    """Read the messages that a run needs.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The log.
-    mapping : mapping of str to str
-        Messages that it names are read too; the second battery is `battery_status[1]`.
-    limits : TableLimits
-        How large it may be.
-    repairs : dict
-        Not used.
-
-    Returns
-    -------
-    Log
-        A stream for each message and instance.
-
-    Raises
-    ------
-    RunsError
-        If it is corrupt, or holds nothing that a run needs.
-    TooLargeError
-        If it is larger than the limits.
-    """
+    """Read the messages that a run needs."""
     from pyulog import ULog
 
     if source.size_bytes / 8 > limits.cells:

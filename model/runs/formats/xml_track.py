@@ -18,50 +18,13 @@ _DOCUMENTS = (b"<gpx", b"<TrainingCenterDatabase")
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the first element, or by the name where comments hide it.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Its name.
-
-    Returns
-    -------
-    bool
-        True for GPX and TCX.
-    """
+    """Decide by the first element, or by the name where comments hide it."""
     xml = head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
     return xml and (any(mark in head for mark in _DOCUMENTS) or name.lower().endswith((".gpx", ".tcx")))
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
-    """Read the points.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-    mapping : mapping of str to str
-        Not used: all numbers at the points are read, by the name of their element.
-    limits : TableLimits
-        How large it may be.
-    repairs : dict
-        Not used.
-
-    Returns
-    -------
-    Log
-        Of one stream.
-
-    Raises
-    ------
-    RunsError
-        If it is broken, or has no points.
-    TooLargeError
-        If it is larger than the limits.
-    """
+    """Read the points."""
     name = source.name
     notes: list[str] = []
     table = columns_of(_points(source, notes), name, limits)

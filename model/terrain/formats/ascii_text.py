@@ -26,24 +26,7 @@ _OF_NUMBERS = np.isin(np.arange(256), list(b"0123456789+-.eE \t\r\nnNaAiIfF"))  
 def check_ascii_grid(source: SourceFile, max_cells: int) -> SourceFile:
     """Refuse a grid whose header or heights are no numbers, or too few, or too many.
 
-    Parameters
-    ----------
-    source : SourceFile
-        The grid.
-    max_cells : int
-        Largest number of cells.
-
-    Returns
-    -------
-    SourceFile
-        The same, as GDAL reads it: without a byte order mark, registered in x and y alike.
-
-    Raises
-    ------
-    HeightmapError
-        With what is wrong.
-    TooLargeError
-        If it declares more than `max_cells` cells.
+    Result: the same, as GDAL reads it: without a byte order mark, registered in x and y alike.
     """
     with source.open() as stream:
         text = stream.read(_HEADER_BYTES)

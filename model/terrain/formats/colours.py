@@ -45,15 +45,7 @@ class Colours:
     def heights(self, channels: NDArray) -> NDArray[np.float64]:
         """Return the heights of colours.
 
-        Parameters
-        ----------
-        channels : ndarray, (3, rows, cols)
-            Red, green and blue.
-
-        Returns
-        -------
-        ndarray of float64, (rows, cols)
-            Heights [m].
+        `channels` (3, rows, cols): red, green and blue. Result (rows, cols): heights [m].
         """
         return np.tensordot(np.array(self.weights), channels, axes=1) + self.offset_m
 
@@ -72,22 +64,7 @@ GREY = Colours("grey", (1.0, 0.0, 0.0), 0.0)
 def colours_of(dataset: DatasetReader, what: str) -> Colours | None:
     """Return how the colours of a picture are heights; None where it has no colours.
 
-    Parameters
-    ----------
-    dataset : DatasetReader
-        Any open raster.
-    what : str
-        What messages call it.
-
-    Returns
-    -------
-    Colours or None
-        The encoding that makes a ground of them, or `GREY`.
-
-    Raises
-    ------
-    HeightmapError
-        If it is a picture in colours that are no heights.
+    Result: the encoding that makes a ground of them, or `GREY`.
     """
     kinds = dataset.colorinterp[:3]
     if set(dataset.dtypes) != {"uint8"} or kinds != (ColorInterp.red, ColorInterp.green, ColorInterp.blue):

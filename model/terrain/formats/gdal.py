@@ -48,18 +48,8 @@ _FUNCTION = re.compile(r"\b(TIFF|GTiff|JPEG|PNG|HFA|VSI|CPL|GDAL|OGR)\w*:\s*")
 def is_gdal_error(error: Exception) -> bool:
     """Decide whether an exception is a failure of GDAL or PROJ.
 
-    Parameters
-    ----------
-    error : Exception
-        What a call of rasterio raised.
+    Result: True for rasterio's own classes.
 
-    Returns
-    -------
-    bool
-        True for rasterio's own classes.
-
-    Notes
-    -----
     Some properties of a dataset (`colorinterp` is one) raise GDAL's errors in classes which `rasterio.errors` does not
     export. They are recognised by the package that defines them.
     """
@@ -68,29 +58,7 @@ def is_gdal_error(error: Exception) -> bool:
 
 @contextmanager
 def opened(source: SourceFile, drivers: Sequence[str], *, what: str, part: str = "") -> Iterator[DatasetReader]:
-    """Open a dataset with some drivers alone.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file. Unless it is a GeoTIFF on disk, one that is to be read alone is opened from memory.
-    drivers : sequence of str
-        GDAL's names of formats.
-    what : str
-        What messages call it, such as "the GeoTIFF".
-    part : str, optional
-        Name of a variable of a file with several.
-
-    Yields
-    ------
-    DatasetReader
-        The open dataset.
-
-    Raises
-    ------
-    HeightmapError
-        Where GDAL fails, also later while the dataset is read.
-    """
+    """Open a dataset with some drivers alone."""
     beside = not source.alone and not isinstance(source.place, bytes)
     options = GDAL_OPTIONS | (_WITH_SIDE_FILES if beside or source.beside else {})
     with warnings.catch_warnings(), rasterio.Env(**options), ExitStack() as stack:

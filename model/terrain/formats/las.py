@@ -22,49 +22,12 @@ _LONG_RECORDS_AT, _LONG_RECORD_BYTES = 243, 60
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark at the start of the file.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for a LAS or LAZ file.
-    """
+    """Decide by the mark at the start of the file."""
     return head.startswith(b"LASF")
 
 
 def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
-    """Lay a grid over the points that are classified as ground, or over all where none is.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The cloud.
-    scaling : Scaling
-        How heights become metres; `cell_m` is the side of a cell.
-    max_cells : int
-        Largest number of cells.
-    band : int, optional
-        Not used.
-
-    Returns
-    -------
-    Decoded
-        Heights, place and CRS.
-
-    Raises
-    ------
-    HeightmapError
-        If the file is broken, or the library that reads it is not installed.
-    TooLargeError
-        If the grid would have more than `max_cells` cells.
-    """
+    """Lay a grid over the points that are classified as ground, or over all where none is."""
     try:
         import laspy
     except ImportError as error:

@@ -19,49 +19,12 @@ _PART_BYTES = 1 << 24  # read at a time
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the signature of .npy files.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for a .npy file.
-    """
+    """Decide by the signature of .npy files."""
     return head.startswith(b"\x93NUMPY")
 
 
 def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
-    """Read one 2-D array of real numbers.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The .npy file; row 0 of its array is the northern one.
-    scaling : Scaling
-        How values become metres.
-    max_cells : int
-        Largest number of cells.
-    band : int, optional
-        Not used: the array has two axes.
-
-    Returns
-    -------
-    Decoded
-        Heights without a place.
-
-    Raises
-    ------
-    HeightmapError
-        If the file is broken or its array is not 2-D and real.
-    TooLargeError
-        If the header declares more than `max_cells` cells.
-    """
+    """Read one 2-D array of real numbers."""
     with source.open() as stream:
         heights = read_heights(stream, "the .npy file", scaling, max_cells, expected_length=source.size_bytes)
     return Decoded(heights)
@@ -70,22 +33,7 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
 def read_header(stream: IO[bytes], what: str) -> tuple[tuple[int, ...], bool, np.dtype, int]:
     """Read the header of a .npy stream, of limited size.
 
-    Parameters
-    ----------
-    stream : file object
-        At the start of the .npy data.
-    what : str
-        What messages call it.
-
-    Returns
-    -------
-    tuple
-        Shape, whether the order is Fortran's, dtype, and the number of bytes read.
-
-    Raises
-    ------
-    HeightmapError
-        If there is no such header.
+    Result: shape, whether the order is Fortran's, dtype, and the number of bytes read.
     """
     magic = stream.read(8)
     if len(magic) < 8 or magic[:6] != b"\x93NUMPY":
@@ -111,30 +59,7 @@ def read_heights(
 ) -> NDArray[np.float32]:
     """Read a 2-D real array part by part; nothing is allocated for one that is too large or not there.
 
-    Parameters
-    ----------
-    stream : file object
-        At the start of the .npy data.
-    what : str
-        What messages call it.
-    scaling : Scaling
-        How values become metres.
-    max_cells : int
-        Largest number of cells.
-    expected_length : int
-        Bytes in the stream.
-
-    Returns
-    -------
-    ndarray of float32, (rows, cols)
-        Heights [m], NaN where unknown.
-
-    Raises
-    ------
-    HeightmapError
-        If the array is truncated, or not 2-D and real.
-    TooLargeError
-        If it declares more than `max_cells` cells.
+    Result (rows, cols): heights [m], NaN where unknown.
     """
     shape, fortran, dtype, read = read_header(stream, what)
     if len(shape) != 2:

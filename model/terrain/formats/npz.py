@@ -22,51 +22,13 @@ _SCALARS = ("resolution_m", "west_m", "north_m", "crs")
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the signature of zip archives.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for a zip archive.
-    """
+    """Decide by the signature of zip archives."""
     return head.startswith((b"PK\x03\x04", b"PK\x05\x06"))
 
 
 def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
     """Read the array `heights` (or `elevation`) and, where they are there, `resolution_m`, `west_m`, `north_m`, `crs`.
 
-    Parameters
-    ----------
-    source : SourceFile
-        The .npz file.
-    scaling : Scaling
-        How values become metres.
-    max_cells : int
-        Largest number of cells.
-    band : int, optional
-        Not used.
-
-    Returns
-    -------
-    Decoded
-        Heights, and the place that the archive states.
-
-    Raises
-    ------
-    HeightmapError
-        If the archive is broken, or has no array `heights` that is 2-D and real.
-    TooLargeError
-        If `heights` declares more than `max_cells` cells.
-
-    Notes
-    -----
     Only what the headers declare is decompressed, after the declared size was accepted: a zip bomb stays packed.
     """
     try:

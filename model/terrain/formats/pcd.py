@@ -18,43 +18,12 @@ _PCD_TYPES = {
 
 
 def is_pcd(head: bytes) -> bool:
-    """Decide by the comment or the version that such a file begins with.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of a file.
-
-    Returns
-    -------
-    bool
-        True for a PCD file.
-    """
+    """Decide by the comment or the version that such a file begins with."""
     return head.startswith((b"# .PCD", b"VERSION .7", b"VERSION 0.7"))
 
 
 def pcd_points(source: SourceFile, most: int) -> NDArray[np.float64]:
-    """Read the points of a PCD file.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-    most : int
-        Largest number of points.
-
-    Returns
-    -------
-    ndarray of float64, (n, 3)
-        x, y, z.
-
-    Raises
-    ------
-    HeightmapError
-        If the file is broken.
-    TooLargeError
-        If it declares more than `most` points.
-    """
+    """Read the points of a PCD file. The result is (n, 3)."""
     with source.open() as stream:
         content = stream.read()
     header, fields = dict[str, list[str]](), list[tuple[str, str, tuple[int, ...]]]()
@@ -100,20 +69,7 @@ def pcd_points(source: SourceFile, most: int) -> NDArray[np.float64]:
 
 @njit(cache=True)
 def lzf(packed: NDArray[np.uint8], size: int) -> tuple[NDArray[np.uint8], int]:
-    """Unpack the LZF compression of PCD files.
-
-    Parameters
-    ----------
-    packed : ndarray of uint8
-        The bytes.
-    size : int
-        Length of what is unpacked.
-
-    Returns
-    -------
-    tuple of (ndarray of uint8, int)
-        The content, and how much of it could be unpacked.
-    """
+    """Unpack the LZF compression of PCD files. Result: the content, and how much of it could be unpacked."""
     out = np.zeros(size, np.uint8)
     i, o = 0, 0
     while i < packed.size:

@@ -23,27 +23,7 @@ _PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">
 
 
 def ply_points(source: SourceFile, most: int) -> NDArray[np.float64]:
-    """Read the vertices of a PLY file.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-    most : int
-        Largest number of points.
-
-    Returns
-    -------
-    ndarray of float64, (n, 3)
-        x, y, z.
-
-    Raises
-    ------
-    HeightmapError
-        If the file is broken.
-    TooLargeError
-        If it declares more than `most` points.
-    """
+    """Read the vertices of a PLY file. The result is (n, 3)."""
     with source.open() as stream:
         content = stream.read()
     end = content.find(b"end_header", 0, HEADER_BYTES)

@@ -12,48 +12,13 @@ HEADER_BYTES = 65_536
 
 
 def check_points(many: int, most: int, name: str) -> None:
-    """Refuse more points than the limit before memory is taken for them.
-
-    Parameters
-    ----------
-    many, most : int
-        Number of points, and the limit.
-    name : str
-        Of the file.
-
-    Raises
-    ------
-    TooLargeError
-        If there are more.
-    """
+    """Refuse more points than the limit before memory is taken for them."""
     if many > most:
         raise TooLargeError(f"{name} holds {many:,} points; the limit is {most:,}", points=many, limit=most)
 
 
 def parsed(rows: list[bytes], columns: int, before: int, name: str) -> NDArray[np.float64]:
-    """Return the numbers of lines.
-
-    Parameters
-    ----------
-    rows : list of bytes
-        Lines of numbers with spaces between them.
-    columns : int
-        Numbers of each line.
-    before : int
-        Lines before the first, for messages.
-    name : str
-        Of the file.
-
-    Returns
-    -------
-    ndarray of float64, (lines, columns)
-        The numbers.
-
-    Raises
-    ------
-    HeightmapError
-        With the line that is broken.
-    """
+    """Return the numbers of lines. The result is (lines, columns)."""
     if columns < 3:
         raise HeightmapError(f"{name}: its lines hold {columns} numbers, and not x, y and a height")
     text = b"\n".join(rows)
@@ -77,27 +42,7 @@ def parsed(rows: list[bytes], columns: int, before: int, name: str) -> NDArray[n
 
 
 def table(text: bytes, many: int, columns: int, name: str) -> NDArray[np.float64]:
-    """Return the numbers of the first lines of a text.
-
-    Parameters
-    ----------
-    text : bytes
-        The text.
-    many, columns : int
-        Lines, and numbers of each.
-    name : str
-        Of the file.
-
-    Returns
-    -------
-    ndarray of float64, (many, columns)
-        The numbers.
-
-    Raises
-    ------
-    HeightmapError
-        If there are fewer lines, or one is broken.
-    """
+    """Return the numbers of the first lines of a text. The result is (many, columns)."""
     rows = text.split(b"\n", many)[:many]
     if len(rows) < many:
         raise HeightmapError(f"{name} is truncated: {many:,} points declared, {len(rows):,} there")
@@ -105,29 +50,7 @@ def table(text: bytes, many: int, columns: int, name: str) -> NDArray[np.float64
 
 
 def records(body: memoryview, record: np.dtype, many: int, name: str) -> NDArray[np.float64]:
-    """Return x, y and z of binary records.
-
-    Parameters
-    ----------
-    body : memoryview
-        The records.
-    record : dtype
-        Of one, with the fields x, y and z.
-    many : int
-        How many there are.
-    name : str
-        Of the file.
-
-    Returns
-    -------
-    ndarray of float64, (many, 3)
-        The places.
-
-    Raises
-    ------
-    HeightmapError
-        If there are fewer.
-    """
+    """Return x, y and z of binary records. The result is (many, 3)."""
     there = len(body) // record.itemsize
     if not 0 <= many <= there:
         raise HeightmapError(f"{name} is truncated: {many:,} points declared, {there:,} there")

@@ -39,20 +39,7 @@ _MOST_OF_A_POINT = 20  # place, colour, normal, and the attributes of LAS; more 
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark of PCD and PLY files; of a text, by three numbers in a line or by the header x, y, z.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Of the file.
-
-    Returns
-    -------
-    bool
-        True for points.
-    """
+    """Decide by the mark of PCD and PLY files; of a text, by three numbers in a line or by the header x, y, z."""
     if head.startswith((b"ply\n", b"ply\r")) or is_pcd(head):
         return True
     match = _COMMENTS.match(head)
@@ -61,31 +48,7 @@ def recognise(head: bytes, name: str) -> bool:
 
 
 def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
-    """Read the points, and lay a grid over them.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The points.
-    scaling : Scaling
-        How heights become metres; `cell_m` is the side of a cell of points that lie on no grid.
-    max_cells : int
-        Largest number of cells, and of points.
-    band : int, optional
-        Not used.
-
-    Returns
-    -------
-    Decoded
-        Heights and place; holes where there is no point.
-
-    Raises
-    ------
-    HeightmapError
-        If the file is broken, or a line is no point.
-    TooLargeError
-        If there are more than `max_cells` points, or cells.
-    """
+    """Read the points, and lay a grid over them."""
     if source.head.startswith(b"ply"):
         points = ply_points(source, max_cells)
     else:

@@ -44,20 +44,7 @@ _WITH_HEADER = (".bil", ".bip", ".bsq", ".flt", ".sdat", ".dat", ".rst", ".gri",
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Take any file that no other format has taken: GDAL decides by all of its content.
-
-    Parameters
-    ----------
-    head : bytes
-        Not used.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True.
-    """
+    """Take any file that no other format has taken: GDAL decides by all of its content."""
     return True
 
 
@@ -71,31 +58,7 @@ def open_windows(
 ) -> Raster:
     """Open a raster of any size for reading by windows.
 
-    Parameters
-    ----------
-    source : SourceFile
-        The file.
-    scaling : Scaling
-        How stored values become metres; a picture needs its scale.
-    band : int, optional
-        The band with the heights, from 1; needed where there are several.
-    max_cells : int, optional
-        Largest number of cells.
-    north_up : bool, optional
-        Whether it must lie on a north-up grid of square cells of true metres.
-
-    Returns
-    -------
-    Raster
-        Its place, and its heights window by window.
-
-    Raises
-    ------
-    HeightmapError
-        On a grid or a CRS that is not of true metres, blocks that were never written, several bands, a file that names
-        others and was sent alone, a truncated or corrupt file.
-    TooLargeError
-        If it declares more than `max_cells` cells.
+    `north_up`: whether it must lie on a north-up grid of square cells of true metres.
     """
     driver, what = _marked(source.head) or ("", "")
     if source.alone and (driver == "VRT" or source.head.startswith(b"\x89HDF")):

@@ -102,25 +102,7 @@ class Raster:
             yield dataset
 
     def read(self, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
-        """Return the heights of a window.
-
-        Parameters
-        ----------
-        scaling : Scaling
-            How values become metres, after the file's own scale, offset and unit.
-        rows, cols : slice
-            The window; row 0 is the northern one.
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols)
-            Heights [m], NaN where unknown.
-
-        Raises
-        ------
-        HeightmapError
-            If the window cannot be read.
-        """
+        """Return the heights of a window. Result (rows, cols): heights [m], NaN where unknown."""
         with self.dataset() as dataset:
             if not self._flip:
                 return self.read_from(dataset, scaling, rows, cols)
@@ -131,19 +113,7 @@ class Raster:
     def read_from(self, dataset: DatasetReader, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
         """Return the heights of a window of the open file.
 
-        Parameters
-        ----------
-        dataset : DatasetReader
-            The file, open.
-        scaling : Scaling
-            How values become metres.
-        rows, cols : slice
-            The window, in the file's own order of rows.
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols)
-            Heights [m], NaN where the file's mask or no-data value says unknown.
+        Result (rows, cols): heights [m], NaN where the file's mask or no-data value says unknown.
         """
         k = self.band - 1
         bands = (1, 2, 3) if self.colours is not None else self.band
@@ -167,19 +137,6 @@ class Raster:
         return heights
 
     def scales(self, dataset: DatasetReader, scaling: Scaling) -> tuple[float, float]:
-        """Return the file's own scale and offset [m]; the unit counts only where the user gave no metres per unit.
-
-        Parameters
-        ----------
-        dataset : DatasetReader
-            The file, open.
-        scaling : Scaling
-            What the user gave.
-
-        Returns
-        -------
-        tuple of float
-            Metres per stored unit, and the height of the stored value 0 [m].
-        """
+        """Return the file's own scale and offset [m]; the unit counts only where the user gave no metres per unit."""
         factor = 1.0 if scaling.scale_m is not None else self.factor
         return dataset.scales[self.band - 1] * factor, dataset.offsets[self.band - 1] * factor

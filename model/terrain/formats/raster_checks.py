@@ -19,29 +19,7 @@ _MAX_BLOCK_BYTES = 1 << 30
 
 
 def check_grid(dataset: DatasetReader, own: str | None, what: str, nodata_declared: bool) -> str | None:
-    """Refuse a grid that is not north-up and square in true metres.
-
-    Parameters
-    ----------
-    dataset : DatasetReader
-        An open raster.
-    own : str or None
-        Its CRS without heights, as WKT.
-    what : str
-        What messages call it.
-    nodata_declared : bool
-        Whether it declares a no-data value.
-
-    Returns
-    -------
-    str or None
-        "EPSG:n" or WKT of its CRS.
-
-    Raises
-    ------
-    HeightmapError
-        With what to do instead.
-    """
+    """Refuse a grid that is not north-up and square in true metres. Result: "EPSG:n" or WKT of its CRS."""
     transform, crs = dataset.transform, None
     if own:
         placed = transform.is_rectilinear and not transform.is_identity
@@ -71,27 +49,7 @@ def check_grid(dataset: DatasetReader, own: str | None, what: str, nodata_declar
 
 
 def checked_band(dataset: DatasetReader, band: int | None, what: str) -> int:
-    """Return the number of the band with the heights.
-
-    Parameters
-    ----------
-    dataset : DatasetReader
-        An open raster.
-    band : int or None
-        As the user gave it, from 1.
-    what : str
-        What messages call it.
-
-    Returns
-    -------
-    int
-        From 1; without `band` the only one, or the only one that is called so.
-
-    Raises
-    ------
-    HeightmapError
-        If it is not known which one that is, or it holds no heights.
-    """
+    """Return the number of the band with the heights."""
     kinds = dataset.colorinterp
     if band is None and dataset.count == 2 and kinds[1] == ColorInterp.alpha:
         band = 1
@@ -124,20 +82,7 @@ def checked_band(dataset: DatasetReader, band: int | None, what: str) -> int:
 
 
 def check_blocks(dataset: DatasetReader, band: int) -> None:
-    """Refuse a GeoTIFF with blocks that were never written, unless it declares a no-data value, which GDAL returns.
-
-    Parameters
-    ----------
-    dataset : DatasetReader
-        An open GeoTIFF.
-    band : int
-        Number of the band, from 1.
-
-    Raises
-    ------
-    HeightmapError
-        If GDAL would fill them with 0.
-    """
+    """Refuse a GeoTIFF with blocks that were never written, unless it declares a no-data value, which GDAL returns."""
     if dataset.nodatavals[band - 1] is not None:
         return
     block_rows, block_cols = dataset.block_shapes[band - 1]

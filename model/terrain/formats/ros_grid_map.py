@@ -27,49 +27,12 @@ _UNKNOWN = -1
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark of a recording.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of the file.
-    name : str
-        Not used.
-
-    Returns
-    -------
-    bool
-        True for an MCAP recording or a ROS bag.
-    """
+    """Decide by the mark of a recording. Result: True for an MCAP recording or a ROS bag."""
     return is_recording(head)
 
 
 def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
-    """Read the last maps of the recording; their frame is taken for the plane of the map.
-
-    Parameters
-    ----------
-    source : SourceFile
-        The recording.
-    scaling : Scaling
-        How heights become metres; of an occupancy grid alone it must be given.
-    max_cells : int
-        Largest number of cells.
-    band : int, optional
-        Number of the layer, from 1; without it, the layer `elevation`, or the only one.
-
-    Returns
-    -------
-    Decoded
-        Heights and place.
-
-    Raises
-    ------
-    HeightmapError
-        If the recording is broken, or has no such map.
-    TooLargeError
-        If the map has more than `max_cells` cells.
-    """
+    """Read the last maps of the recording; their frame is taken for the plane of the map."""
     read: list[str] = []
     try:
         found, topics, notes = _last_maps(source, read)

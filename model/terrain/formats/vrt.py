@@ -20,37 +20,13 @@ _NAMES = re.compile(
 
 
 def is_vrt(head: bytes) -> bool:
-    """Decide by the first element.
-
-    Parameters
-    ----------
-    head : bytes
-        First bytes of a file.
-
-    Returns
-    -------
-    bool
-        True for a virtual raster.
-    """
+    """Decide by the first element."""
     plain = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     return (plain.partition(b"?>")[2].lstrip() if plain.startswith(b"<?xml") else plain).startswith(MARK)
 
 
 def check_names(path: Path, *, levels: int = _MOST_LEVELS) -> None:
-    """Refuse a VRT that names anything but files on this machine which are rasters themselves.
-
-    Parameters
-    ----------
-    path : Path
-        The VRT.
-    levels : int, optional
-        How many may be one within the other.
-
-    Raises
-    ------
-    HeightmapError
-        With the name.
-    """
+    """Refuse a VRT that names anything but files on this machine which are rasters themselves."""
     text = path.read_bytes()[: _MAX_BYTES + 1].decode("utf-8", "replace")
     if len(text) > _MAX_BYTES or levels == 0:
         raise HeightmapError(f"{path.name} is a VRT of more than {_MAX_BYTES:,} bytes, or of VRTs of VRTs")

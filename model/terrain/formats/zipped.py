@@ -41,24 +41,7 @@ _BROKEN = (
 def unpacked(source: SourceFile, suffixes: tuple[str, ...]) -> SourceFile:
     """Return the file in an archive; any other file, and an archive of NumPy arrays, as it is.
 
-    Parameters
-    ----------
-    source : SourceFile
-        Any file.
-    suffixes : tuple of str
-        Of the files that are heightmaps, where an archive holds several.
-
-    Returns
-    -------
-    SourceFile
-        Its content in memory, with the files that belong to it.
-
-    Raises
-    ------
-    HeightmapError
-        If the archive is broken, or does not hold one heightmap.
-    TooLargeError
-        If it unpacks to more than the limit.
+    Result: its content in memory, with the files that belong to it.
     """
     try:
         if source.head.startswith(_ARCHIVES[2]):

@@ -49,17 +49,17 @@ class Compact(Architecture["CompactNet"]):
         learning_rate=1e-3, fine_tuning_rate=5e-4, batch=64, epochs=12, copies=8, cross_fitted=True, threads=1
     )
 
-    def build(self, config: Mapping[str, Any], *, size: int) -> CompactNet:  # numpydoc ignore=PR01,RT03
+    def build(self, config: Mapping[str, Any], *, size: int) -> CompactNet:
         """Make a network, as `Architecture.build`. Its working pixels are those of this version."""
         from joulemap.model.energy.architectures.compact.net import CompactNet
 
         return CompactNet(_widths(config, size))
 
-    def config_of(self, net: CompactNet) -> dict[str, Any]:  # numpydoc ignore=PR01,RT03
+    def config_of(self, net: CompactNet) -> dict[str, Any]:
         """Describe a network, as `Architecture.config_of`: the side of a working pixel and the widths."""
         return {"pixel_m": PIXEL_M, **net.config.as_dict()}
 
-    def input_size(self, wanted: int | None) -> int:  # numpydoc ignore=PR01,RT03
+    def input_size(self, wanted: int | None) -> int:
         """Return the one size that this network reads."""
         return SQUARE
 
@@ -72,7 +72,7 @@ class Compact(Architecture["CompactNet"]):
         *,
         size: int,
         turned_rad: FloatArray,
-    ) -> NDArray[np.float32]:  # numpydoc ignore=PR01,RT03
+    ) -> NDArray[np.float32]:
         """Cut north-up squares of 2 m, as `Architecture.cut_inputs`."""
         return cut_squares(heightmap, x, y, size=SQUARE, pixel_m=PIXEL_M, pad_m=REACH_M, turned_rad=turned_rad)
 
@@ -86,7 +86,7 @@ class Compact(Architecture["CompactNet"]):
         quarter_turns: int = 0,
         mirror: bool = False,
         jitter: float = 0.0,
-    ) -> NetworkOutput:  # numpydoc ignore=PR01,RT03
+    ) -> NetworkOutput:
         """Ask a network, as `Architecture.answer`. Errors count relative to at least a share of level ground."""
         import torch
 
@@ -111,7 +111,7 @@ class Compact(Architecture["CompactNet"]):
         least = LEAST_SHARE * (data.hotel[part] + data.weight[part] * data.rolling[part])
         return NetworkOutput(energy, torch.maximum(data.measured[part].abs(), least), spread)
 
-    def initial(self, examples: Examples, start_from: CompactNet | None) -> CompactNet:  # numpydoc ignore=PR01,RT03
+    def initial(self, examples: Examples, start_from: CompactNet | None) -> CompactNet:
         """Return the network that a training starts with, as `Architecture.initial`.
 
         A fresh network knows the ranges of these examples. A copy keeps its own: moving them would change what every
@@ -124,19 +124,15 @@ class Compact(Architecture["CompactNet"]):
             net.set_feature_ranges(examples.features.min(axis=0), examples.features.max(axis=0))
         return net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def read(
-        self, config: Mapping[str, Any], weights: Mapping[str, NDArray[Any]], *, size: int
-    ) -> CompactNet:  # numpydoc ignore=PR01,RT03
+    def read(self, config: Mapping[str, Any], weights: Mapping[str, NDArray[Any]], *, size: int) -> CompactNet:
         """Make a network with given weights, those of an older version too."""
         return super().read(config, with_all_features(weights), size=size)
 
-    def adapted(
-        self, net: CompactNet, *, level: float, climb: float, shape: float
-    ) -> CompactNet:  # numpydoc ignore=PR01,RT03
+    def adapted(self, net: CompactNet, *, level: float, climb: float, shape: float) -> CompactNet:
         """Return a network with another traction, as `Architecture.adapted`."""
         return net.adapted(level=level, climb=climb, shape=shape)
 
-    def scaled(self, net: CompactNet, factor: float) -> CompactNet:  # numpydoc ignore=PR01,RT03
+    def scaled(self, net: CompactNet, factor: float) -> CompactNet:
         """Return a network with more traction, as `Architecture.scaled`."""
         return net.scaled(factor)
 
@@ -150,7 +146,7 @@ class Compact(Architecture["CompactNet"]):
         name: str,
         spread: Spread,
         costs: DriveCosts,
-    ) -> CompactPredictor:  # numpydoc ignore=PR01,RT03
+    ) -> CompactPredictor:
         """Make a predictor that answers for whole maps in dense passes."""
         return CompactPredictor(net.weights(), domain, provenance, name=name, spread=spread, costs=costs)
 
@@ -165,7 +161,7 @@ class Compact(Architecture["CompactNet"]):
         name: str,
         spread: Spread,
         costs: DriveCosts,
-    ) -> CompactPredictor:  # numpydoc ignore=PR01,RT03
+    ) -> CompactPredictor:
         """Make a predictor of the weights alone, as `Architecture.predictor_of_weights`: torch is not loaded."""
         known = CompactWeights(with_all_features(weights), _widths(config, size))
         return CompactPredictor(known, domain, provenance, name=name, spread=spread, costs=costs)

@@ -41,21 +41,6 @@ class CompactPredictor(Learned):
 
     A cell is NaN where the 2 m square around it touches an unknown height. At the edge of the map the ground is
     continued by odd reflection (a plane stays a plane), so that edge cells have an answer.
-
-    Parameters
-    ----------
-    weights : CompactWeights
-        Of a trained network.
-    domain : Domain
-        What it was trained on.
-    provenance : mapping
-        What the predictor says of itself, JSON-able.
-    name : str
-        What the model is called.
-    spread : Spread, optional
-        Its errors on held-out runs.
-    costs : DriveCosts, optional
-        Of turning, time and speeding up, beyond straight driving.
     """
 
     def __init__(
@@ -79,23 +64,8 @@ class CompactPredictor(Learned):
         Cells at a spacing of 1, 1/2, 1/3 ... 1/8 m share what is read of the ground; at any other spacing each cell
         reads its own.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-        frame : GridFrame
-            Cells of the lattice.
-        headings_rad : ndarray of float64, (K,)
-            Headings [rad].
-
-        Returns
-        -------
-        traction : ndarray of float32, (rows, cols, K)
-            Traction demand [J/m]; NaN where the map is unknown.
-        std : ndarray of float32, (rows, cols, K)
-            Standard deviation of a 1 m segment's energy [J].
+        `headings_rad` is (K,). Returns `traction` (rows, cols, K): traction demand [J/m], NaN where the map is unknown;
+        `std` (rows, cols, K): standard deviation of a 1 m segment's energy [J].
         """
         headings_rad = np.ascontiguousarray(headings_rad, dtype=np.float64)
         traction = tan_grade_lattice(heightmap, frame, headings_rad)  # (rows, cols, K), turned into traction below
@@ -152,23 +122,8 @@ class CompactPredictor(Learned):
     ) -> tuple[FloatArray, FloatArray]:
         """Return traction and uncertainty of 1 m segments.
 
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-        x, y : array_like, (n,)
-            Centres of the segments [m].
-        heading_rad : array_like, (n,)
-            Headings [rad].
-
-        Returns
-        -------
-        traction : ndarray of float64, (n,)
-            Traction demand [J/m]; NaN where the map is unknown.
-        std : ndarray of float64, (n,)
-            Standard deviation of the energy [J].
+        `x`, `y` (n,): centres of the segments [m]; `heading_rad` (n,). Returns `traction` (n,): traction demand [J/m],
+        NaN where the map is unknown; `std` (n,): standard deviation of the energy [J].
         """
         x, y, heading = (
             np.ascontiguousarray(a, dtype=np.float64).ravel() for a in np.broadcast_arrays(x, y, heading_rad)

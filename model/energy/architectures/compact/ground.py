@@ -43,22 +43,7 @@ class Scratch:
 
     @classmethod
     def of(cls, rows: int, cols: int, weights: RobotWeights, *, joined: bool) -> Scratch:
-        """Reserve memory for tiles.
-
-        Parameters
-        ----------
-        rows, cols : int
-            Greatest number of cells of a tile.
-        weights : RobotWeights
-            Of the network.
-        joined : bool
-            As in `raster.read_cells`.
-
-        Returns
-        -------
-        Scratch
-            Of zeros.
-        """
+        """Reserve memory for tiles."""
         outputs, inputs = ([weight.shape[axis] for weight in weights.ground[::2]] for axis in (0, 1))
         high, planes, slots = (STRIDE * rows + STRIDE, STRIDE, cols + 2) if joined else (SQUARE - 1, SQUARE - 1, cols)
         answers, columns = [], []
@@ -79,15 +64,8 @@ class Scratch:
 def slopes_of_squares(squares: FloatArray) -> FloatArray:
     """Return the slopes of every 2 x 2 heights of squares, as `read_ground` takes them.
 
-    Parameters
-    ----------
-    squares : ndarray of float32, (n, N, N)
-        Heights [m] at working pixels, north up.
-
-    Returns
-    -------
-    ndarray of float32, (1, N - 1, N - 1, 3, n)
-        Slope to the east, slope to the north and twist.
+    `squares` (n, N, N): heights [m] at working pixels, north up. Result (1, N - 1, N - 1, 3, n): slope to the east,
+    slope to the north and twist.
     """
     heights = np.ascontiguousarray(squares.transpose(1, 2, 0))  # (N, N, n)
     nw, ne, sw, se = heights[:-1, :-1], heights[:-1, 1:], heights[1:, :-1], heights[1:, 1:]
@@ -99,20 +77,8 @@ def slopes_of_squares(squares: FloatArray) -> FloatArray:
 def read_ground(slopes: FloatArray, weights: RobotWeights, scratch: Scratch) -> FloatArray:
     """Read the ground: a Fourier series over headings for every hidden unit of the head.
 
-    Parameters
-    ----------
-    slopes : ndarray of float32, (rasters, rows, planes, 3, lanes)
-        As from `raster.read_cells`, or from `slopes_of_squares`.
-    weights : RobotWeights
-        Of the network.
-    scratch : Scratch
-        For tiles of at least this size.
-
-    Returns
-    -------
-    ndarray of float32, (units * (2 order + 1), places)
-        Coefficients; those of one unit are next to each other. Places in order of rows, then columns. NaN where a slope
-        is.
+    `slopes` (rasters, rows, planes, 3, lanes): as from `raster.read_cells`, or from `slopes_of_squares`. Result (units
+    * (2 order + 1), places): places in order of rows, then columns. NaN where a slope is.
     """
     rasters, high, planes, _, slots = slopes.shape
     cols = slots - 2 if planes == STRIDE else slots

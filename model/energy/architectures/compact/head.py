@@ -60,19 +60,7 @@ class Headings:
     def of(cls, headings_rad: NDArray[np.float64], basis: NDArray[np.float32], width_m: float) -> Headings:
         """Prepare the headings of a lattice.
 
-        Parameters
-        ----------
-        headings_rad : ndarray of float64, (K,)
-            Headings [rad].
-        basis : ndarray of float32, (K, terms)
-            The series' functions at these headings.
-        width_m : float
-            Width of the robot [m].
-
-        Returns
-        -------
-        Headings
-            Ready for `answer_tile`.
+        `headings_rad` (K,); `basis` (K, terms): the series' functions at these headings.
         """
         ahead, sign = antipodes(headings_rad)
         own = sign > 0.0
@@ -89,26 +77,11 @@ def answer_tile(ground, series, basis, stencil, back, own, per_width, weights, k
     The whole lattice is passed: a part of it would be contiguous in some calls and not in others, and the function
     would be compiled twice.
 
-    Parameters
-    ----------
-    ground : ndarray of float64
-        Heights [m] as from `raster.read_cells`.
-    series : ndarray of float32, (units * terms, rows * cols)
-        As from `ground.read_ground`.
-    basis, stencil, back, own, per_width : ndarray, float
-        As in `Headings`.
-    weights : tuple of ndarray
-        As `RobotWeights.head`.
-    known : ndarray of float64, (3,)
-        a mu, c and the weight [N].
-    price : ndarray of float64, (4,)
-        The robot's hotel_per_m [J/m] and regeneration, the energy of level ground [J], and the factor of the spread.
-    at : tuple of int
-        (top, left, step, rows, cols): the tile is every `step`-th cell of the lattice from (top, left) on.
-    traction : ndarray of float32, (_, _, K)
-        Of the whole lattice [J/m]; holds the grade before the call.
-    std : ndarray of float32, (_, _, K)
-        Of the whole lattice: standard deviation of a segment's energy [J].
+    `ground`: heights [m] as from `raster.read_cells`; `series` (units * terms, rows * cols): as from
+    `ground.read_ground`; `known` (3,): a mu, c and the weight [N]; `price` (4,): the robot's hotel_per_m [J/m] and
+    regeneration, the energy of level ground [J], and the factor of the spread; `traction` (_, _, K): of the whole
+    lattice [J/m], holds the grade before the call; `std` (_, _, K): of the whole lattice: standard deviation of a
+    segment's energy [J].
     """
     top, left, step, rows, cols = at
     count, terms = traction.shape[2], series.shape[0]

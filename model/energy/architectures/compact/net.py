@@ -37,15 +37,8 @@ from joulemap.model.energy.uncertainty import USUAL_SPREAD
 def slopes_of_squares(squares: Tensor) -> Tensor:
     """Return the slopes of every 2 x 2 heights.
 
-    Parameters
-    ----------
-    squares : Tensor, (B, N, N)
-        Heights [m] at working pixels, north up.
-
-    Returns
-    -------
-    Tensor, (B, 3, N - 1, N - 1)
-        Slope to the east, slope to the north and twist.
+    `squares` (B, N, N): heights [m] at working pixels, north up. Result (B, 3, N - 1, N - 1): slope to the east, slope
+    to the north and twist.
     """
     nw, ne = squares[:, :-1, :-1], squares[:, :-1, 1:]
     sw, se = squares[:, 1:, :-1], squares[:, 1:, 1:]
@@ -79,11 +72,6 @@ class CompactNet(Network):
 
     The ranges of the robot's features are buffers: features are normalised by them and clamped to them. A robot outside
     the learned ranges gets the answer of the nearest robot inside; the predictor adds a warning.
-
-    Parameters
-    ----------
-    config : CompactConfig, optional
-        Widths of the layers. Those of the shipped network by default.
     """
 
     architecture = "compact"
@@ -117,10 +105,7 @@ class CompactNet(Network):
     def set_feature_ranges(self, low: ArrayLike, high: ArrayLike) -> None:
         """Set the ranges of the features in the training data; an empty range is widened a little.
 
-        Parameters
-        ----------
-        low, high : array_like, (9,)
-            Least and greatest value of each of `FEATURES`.
+        `low`, `high` (9,): least and greatest value of each of `FEATURES`.
         """
         low_t, high_t = torch.tensor(np.asarray(low)), torch.tensor(np.asarray(high))
         with torch.no_grad():
@@ -128,18 +113,7 @@ class CompactNet(Network):
             self.feature_high.copy_(high_t)
 
     def adapted(self, *, level: float, climb: float, shape: float) -> CompactNet:
-        """Return a copy whose traction over the weight is (a mu + (c + climb) tan theta) + (1 + shape) r + level.
-
-        Parameters
-        ----------
-        level, climb, shape : float
-            As `Architecture.adapted`.
-
-        Returns
-        -------
-        CompactNet
-            The copy.
-        """
+        """Return a copy whose traction over the weight is (a mu + (c + climb) tan theta) + (1 + shape) r + level."""
         other = deepcopy(self)
         with torch.no_grad():
             other.gains.bias[1].add_(climb)
@@ -149,18 +123,7 @@ class CompactNet(Network):
         return other
 
     def scaled(self, factor: float) -> CompactNet:
-        """Return a copy whose traction is a multiple.
-
-        Parameters
-        ----------
-        factor : float
-            As `Architecture.scaled`.
-
-        Returns
-        -------
-        CompactNet
-            The copy.
-        """
+        """Return a copy whose traction is a multiple."""
         other = deepcopy(self)
         with torch.no_grad():
             for layer in (other.gains, other.rest):
@@ -170,18 +133,7 @@ class CompactNet(Network):
         return other
 
     def read_robot(self, features: Tensor) -> RobotCode:
-        """Turn the robot's features into scales, shifts and gains.
-
-        Parameters
-        ----------
-        features : Tensor, (B, 9)
-            As from `robot_features`.
-
-        Returns
-        -------
-        RobotCode
-            Of each of the B robots.
-        """
+        """Turn the robot's features into scales, shifts and gains. `features` (B, 9): as from `robot_features`."""
         inside = torch.maximum(torch.minimum(features, self.feature_high), self.feature_low)
         unit = 2.0 * (inside - self.feature_low) / (self.feature_high - self.feature_low) - 1.0
         code = torch.tanh(self.robot(unit))
@@ -192,17 +144,7 @@ class CompactNet(Network):
     def read_ground(self, slopes: Tensor, robot: RobotCode) -> Tensor:
         """Read the ground: a Fourier series over headings for every hidden unit of the head.
 
-        Parameters
-        ----------
-        slopes : Tensor, (B, 3, 8 r + 8, 8 c + 8)
-            As from `slopes_of_squares`.
-        robot : RobotCode
-            Of B robots, or of one for all.
-
-        Returns
-        -------
-        Tensor, (B, units * (2 order + 1), r, c)
-            Coefficients; those of one unit are next to each other.
+        `slopes` (B, 3, 8 r + 8, 8 c + 8): as from `slopes_of_squares`. The result is (B, units * (2 order + 1), r, c).
         """
         third, hidden = self.config.channels[2], self.config.hidden
         scale0, shift0, scale1, shift1 = robot.ground.split([third, third, hidden, hidden], dim=1)
@@ -215,23 +157,9 @@ class CompactNet(Network):
     def ask(self, series: Tensor, basis: Tensor, tracks: Tensor, robot: RobotCode) -> tuple[Tensor, Tensor]:
         """Evaluate the head at one heading of each place.
 
-        Parameters
-        ----------
-        series : Tensor, (B, units * C)
-            As from `read_ground`.
-        basis : Tensor, (B, C)
-            As from `heading_basis`.
-        tracks : Tensor, (B, 9)
-            As from `track_features`.
-        robot : RobotCode
-            Of the B robots, or of one for all.
-
-        Returns
-        -------
-        rest : Tensor, (B,)
-            Traction over weight beyond eq. 5.
-        spread : Tensor, (B,)
-            Logarithm of the standard deviation over the energy. Its gradient does not reach the layers below.
+        `series` (B, units * C): as from `read_ground`; `basis` (B, C): as from `heading_basis`; `tracks` (B, 9): as
+        from `track_features`. Returns `rest` (B,): traction over weight beyond eq. 5; `spread` (B,): logarithm of the
+        standard deviation over the energy, its gradient does not reach the layers below.
         """
         scale, shift = robot.tracks.chunk(2, dim=1)
         units = torch.einsum("buc,bc->bu", series.unflatten(1, (-1, basis.shape[1])), basis)  # (B, units)
@@ -245,25 +173,9 @@ class CompactNet(Network):
     ) -> tuple[Tensor, Tensor]:
         """Answer for single segments.
 
-        Parameters
-        ----------
-        squares : Tensor, (B, 17, 17)
-            Heights [m], north up.
-        features : Tensor, (B, 9)
-            As from `robot_features`.
-        basis, tracks : Tensor, (B, C) and (B, 9)
-            As in `ask`.
-        tan_grade : Tensor, (B,)
-            Grade of the segments.
-        resistance : Tensor, (B,)
-            Declared rolling resistance.
-
-        Returns
-        -------
-        traction : Tensor, (B,)
-            Traction over weight.
-        spread : Tensor, (B,)
-            Logarithm of the standard deviation over the energy.
+        `squares` (B, 17, 17): heights [m], north up; `features` (B, 9): as from `robot_features`; `basis`, `tracks` (B,
+        C); `tan_grade` (B,); `resistance` (B,): declared rolling resistance. Returns `traction` (B,): traction over
+        weight; `spread` (B,): logarithm of the standard deviation over the energy.
         """
         robot = self.read_robot(features)
         series = self.read_ground(slopes_of_squares(squares), robot)[:, :, 0, 0]
@@ -271,11 +183,5 @@ class CompactNet(Network):
         return robot.gains[:, 0] * resistance + robot.gains[:, 1] * tan_grade + rest, spread
 
     def weights(self) -> CompactWeights:
-        """Return the weights as arrays, with which the network is asked.
-
-        Returns
-        -------
-        CompactWeights
-            A copy.
-        """
+        """Return the weights as arrays, with which the network is asked."""
         return CompactWeights({key: value.numpy().copy() for key, value in self.state_dict().items()}, self.config)

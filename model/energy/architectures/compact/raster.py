@@ -36,20 +36,7 @@ class Buffers:
 
     @classmethod
     def of(cls, rows: int, cols: int, *, joined: bool) -> Buffers:
-        """Reserve memory for tiles.
-
-        Parameters
-        ----------
-        rows, cols : int
-            Greatest number of cells of a tile.
-        joined : bool
-            As in `read_cells`.
-
-        Returns
-        -------
-        Buffers
-            Uninitialised.
-        """
+        """Reserve memory for tiles."""
         if joined:
             high, wide = STRIDE * rows + SQUARE, STRIDE * cols + SQUARE
         else:
@@ -64,29 +51,12 @@ def read_cells(
 
     The map is continued by odd reflection (a plane stays a plane).
 
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    x : ndarray of float64, (cols,)
-        Cell centres, ascending [m].
-    y : ndarray of float64, (rows,)
-        Cell centres, descending [m].
-    buffers : Buffers
-        Memory for the answer.
-    joined : bool
-        Whether the cells have a spacing of 1 m and share their pixels; otherwise each has a square of its own.
-
-    Returns
-    -------
-    heights : ndarray of float64, (R, planes, slots)
-        Heights [m]; float32 could not hold tenths of a millimetre a kilometre above the sea. Pixel (r, c) of the square
-        around cell (i, j) is at [planes i + r, c % planes, j + c // planes], with 8 planes (joined) or 17, so that
-        heights of neighbouring cells are neighbours in memory.
-    slopes : ndarray of float32, (rasters, h, planes, 3, slots)
-        Slope to the east, slope to the north and twist of every 2 x 2 heights. Joined: one raster of 8 planes and two
-        slots more than there are cells, of which the last is undefined. Otherwise: a raster of 16 planes for each row
-        of cells.
+    `x` (cols,): cell centres, ascending [m]; `y` (rows,): cell centres, descending [m]. Returns `heights` (R, planes,
+    slots): heights [m], float32 could not hold tenths of a millimetre a kilometre above the sea, pixel (r, c) of the
+    square around cell (i, j) is at [planes i + r, c % planes, j + c // planes], with 8 planes (joined) or 17, so that
+    heights of neighbouring cells are neighbours in memory; `slopes` (rasters, h, planes, 3, slots): slope to the east,
+    slope to the north and twist of every 2 x 2 heights, joined: one raster of 8 planes and two slots more than there
+    are cells, of which the last is undefined.
     """
     if joined:
         pixels_down, pixels_right = (np.arange(STRIDE * (n - 1) + SQUARE) - _MIDDLE for n in (y.size, x.size))

@@ -55,17 +55,8 @@ _MIDDLE = (SAMPLES - 1) // 2
 def track_stencil(heading_rad: NDArray[np.float64], width_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return where the samples of the tracks lie.
 
-    Parameters
-    ----------
-    heading_rad : ndarray of float64, (n,)
-        Headings [rad].
-    width_m : ndarray of float64, (n,)
-        Widths of the robots [m].
-
-    Returns
-    -------
-    ndarray of float64, (2, SAMPLES, n, 2)
-        (south, east) in working pixels from the middle of the square; the left track first.
+    `heading_rad` (n,); `width_m` (n,): widths of the robots [m]. Result: (south, east) in working pixels from the
+    middle of the square; the left track first.
     """
     ahead_x, ahead_y = heading_vector(heading_rad)
     along = np.arange(SAMPLES)[:, None] - _MIDDLE
@@ -82,19 +73,8 @@ def track_features(
 ) -> NDArray[np.float32]:
     """Return the features of the wheel tracks of segments.
 
-    Parameters
-    ----------
-    squares : ndarray of float32, (n, 17, 17)
-        Heights around the segments [m], north up.
-    heading_rad : ndarray of float64, (n,)
-        Headings [rad].
-    width_m : ndarray of float64, (n,)
-        Widths of the robots [m].
-
-    Returns
-    -------
-    ndarray of float32, (n, 9)
-        `TRACKS`, each divided by its scale.
+    `squares` (n, 17, 17): heights around the segments [m], north up; `heading_rad` (n,); `width_m` (n,): widths of the
+    robots [m]. The result is (n, 9).
     """
     out = np.empty((heading_rad.size, len(TRACKS)), dtype=np.float32)
     per_width = (1.0 / np.minimum(width_m, WIDEST_M)).astype(np.float32)
@@ -163,18 +143,7 @@ def describe(lines, lanes, per_width, met, fall):
 
     Driven the other way, the grade changes its sign and the rise becomes `fall`; nothing else changes.
 
-    Parameters
-    ----------
-    lines : ndarray of float32, (2, SAMPLES, LANES)
-        Heights along the tracks [m].
-    lanes : int
-        How many places are wanted.
-    per_width : ndarray of float32, (LANES,)
-        One over the distance of the tracks [1/m].
-    met : ndarray of float32, (9, LANES)
-        Receives `TRACKS`, scaled.
-    fall : ndarray of float32, (LANES,)
-        Receives the rise of the opposite direction, scaled.
+    `lines`: heights along the tracks [m].
     """
     left, right = np.empty(8 * LANES, dtype=np.float32), np.empty(8 * LANES, dtype=np.float32)
     _line(lines, lanes, left)
@@ -184,20 +153,7 @@ def describe(lines, lanes, per_width, met, fall):
 
 @njit(cache=True, nogil=True)
 def corner(offset):
-    """Split a fractional offset.
-
-    Parameters
-    ----------
-    offset : float
-        In pixels.
-
-    Returns
-    -------
-    whole : int
-        The pixel below.
-    part : float
-        The rest, 0 to 1.
-    """
+    """Split a fractional offset. Returns `whole`: the pixel below; `part`: the rest, 0 to 1."""
     whole = math.floor(offset)
     return whole, offset - whole
 

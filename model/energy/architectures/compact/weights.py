@@ -65,23 +65,7 @@ class CompactConfig:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> CompactConfig:
-        """Make a configuration of what `as_dict` wrote.
-
-        Parameters
-        ----------
-        values : dict
-            Widths by name; those that are missing take their defaults.
-
-        Returns
-        -------
-        CompactConfig
-            The configuration.
-
-        Raises
-        ------
-        ModelError
-            If a name is unknown.
-        """
+        """Make a configuration of what `as_dict` wrote."""
         converted: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
         try:
             return cls(**converted)
@@ -90,20 +74,7 @@ class CompactConfig:
 
 
 def heading_basis(heading_rad: ArrayLike, order: int) -> FloatArray:
-    """Return 1, sin h, cos h, sin 2h, ... of every heading.
-
-    Parameters
-    ----------
-    heading_rad : array_like, (n,)
-        Headings h [rad].
-    order : int
-        Highest harmonic.
-
-    Returns
-    -------
-    ndarray of float32, (n, 2 order + 1)
-        The basis functions.
-    """
+    """Return 1, sin h, cos h, sin 2h, ... of every heading. `heading_rad` is (n,). The result is (n, 2 order + 1)."""
     heading = np.asarray(heading_rad, dtype=np.float64).ravel()
     columns = [np.ones_like(heading)]
     for harmonic in range(1, order + 1):
@@ -137,21 +108,9 @@ class RobotWeights:
     def ask(self, series: FloatArray, basis: FloatArray, tracks: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Evaluate the head at one heading of each place.
 
-        Parameters
-        ----------
-        series : ndarray of float32, (units * C, n)
-            As from `ground.read_ground`.
-        basis : ndarray of float32, (n, C)
-            As from `heading_basis`.
-        tracks : ndarray of float32, (n, 9)
-            As from `track_features`.
-
-        Returns
-        -------
-        rest : ndarray of float32, (n,)
-            Traction over weight beyond eq. 5.
-        spread : ndarray of float32, (n,)
-            Logarithm of the standard deviation over the energy.
+        `series` (units * C, n): as from `ground.read_ground`; `basis` (n, C): as from `heading_basis`; `tracks` (n, 9):
+        as from `track_features`. Returns `rest` (n,): traction over weight beyond eq. 5; `spread` (n,): logarithm of
+        the standard deviation over the energy.
         """
         of_tracks, shift, head, bias, last, last_bias = self.head
         units = np.einsum("ucn,nc->nu", series.reshape(self.units, basis.shape[1], -1), basis)
@@ -171,11 +130,6 @@ class CompactWeights:
         By the names that they have in the network, as in weights.safetensors.
     config : CompactConfig
         Widths of the layers.
-
-    Raises
-    ------
-    ModelError
-        If an array is missing, has another shape, or belongs to another network.
     """
 
     arrays: Mapping[str, FloatArray]
@@ -197,15 +151,7 @@ class CompactWeights:
 
         A robot outside the learned ranges gets the answers of the nearest robot inside.
 
-        Parameters
-        ----------
-        features : ndarray of float32, (9,)
-            As from `robot_features`.
-
-        Returns
-        -------
-        RobotWeights
-            With the robot's scales and shifts folded in.
+        `features` (9,): as from `robot_features`. Result: with the robot's scales and shifts folded in.
         """
         known, config = self.arrays, self.config
         low, high = known["feature_low"], known["feature_high"]
@@ -240,18 +186,7 @@ class CompactWeights:
 
 
 def with_all_features(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arrays of a network, of which an older one knows eight `FEATURES`: the ninth changes nothing in it.
-
-    Parameters
-    ----------
-    arrays : mapping of str to ndarray
-        By their names in the network.
-
-    Returns
-    -------
-    dict
-        With the shapes of this version.
-    """
+    """Return the arrays of a network, of which an older one knows eight `FEATURES`: the ninth changes nothing in it."""
     known = dict(arrays)
     if {"robot.weight", "feature_low", "feature_high"} <= known.keys() and len(known["feature_low"]) == 8:
         low, high = math.log2(LEAST_NOISE_M), 0.0  # of "log2_noise_m", the only one that was added
