@@ -195,11 +195,11 @@ def stretches_of(mine: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     """Return the stretches whose sums are judged.
 
     `mine` (n,): segments of a run, in driving order. Yields: stretches of every length that do not overlap; the whole
-    run where it is shorter than two of the shortest.
+    run where it is shorter than the longest, so that what differs between runs is seen in them too.
     """
     for length in STRETCHES:
         parts = mine.size // length
         first = (mine.size - parts * length) // 2
         yield from (mine[first + k * length : first + (k + 1) * length] for k in range(parts))
-    if _FEWEST <= mine.size < 2 * STRETCHES[0] and mine.size not in STRETCHES:
+    if _FEWEST <= mine.size < STRETCHES[-1] and mine.size not in STRETCHES:
         yield mine

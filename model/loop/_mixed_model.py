@@ -30,7 +30,7 @@ error is over thirty times that of the column alone."""
 RUN_SPREAD = 0.25
 """Setting: share of the energy by which runs of one robot usually differ at most for unknown reasons; those of the
 shipped model differ by 19 %."""
-CERTAINLY_NOT = 0.01
+CERTAINLY_NOT = 0.1
 """p-value of a single test, above which nobody asks how much above."""
 _ROUNDING = 1e-9
 _LARGE = 1e6  # variance between units over that of the noise: as good as fixed levels

@@ -33,7 +33,7 @@ _COLLINEAR = 1e-6  # of a column's size is left beside the others: rounding
 _ROUNDING = 1e-10
 _BANDS = 10  # of the prediction, for the spread within each
 _ROUNDS = 2  # weights follow the correlation and the correlation the weights
-_LOSS = 0.01  # of minus two log likelihoods: nothing that a test or an interval would show
+_LEAST_GAIN = 0.01  # of minus two log likelihoods: nothing that a test or an interval would show
 _GRID = 7  # correlation lengths, and as many variances over that of the noise, are tried first
 
 
@@ -196,7 +196,7 @@ def _correlated(found: Variation, design: FloatArray, z: FloatArray) -> Variatio
     else:
         tried = np.linspace(limits[:, 0], limits[:, 1], _GRID + 2)[1:-1]
         start = min(map(np.array, product(*tried.T)), key=lambda x: loss(at(x)))
-    precise = {"eps": 1e-4, "ftol": _LOSS / max(len(z), 1)}  # the loss is about as large as there are rows
+    precise = {"eps": 1e-4, "ftol": _LEAST_GAIN / max(len(z), 1)}  # the loss is about as large as there are rows
     best = at(minimize(lambda x: loss(at(x)), start, method="L-BFGS-B", bounds=limits, options=precise).x)
     white = replace(found, length_rows=1.0, process=0.0)
     return best if loss(best) < loss(white) else white

@@ -106,7 +106,8 @@ def test_level_ground_costs_about_what_the_declared_resistance_says(shipped, rob
     level = plane(0.0, 0.0, resolution_m)
     got = price(shipped, level, robot, heading_bins(16))
     expected = price(PhysicsPredictor(), level, robot, 0.0)
-    assert got.mean() == pytest.approx(float(expected[0]), rel=0.35 if resolution_m == 1.0 else 0.15)
+    # the resistance was declared for ground that is even and not a plane: where bumps would be seen, a plane costs less
+    assert got.mean() == pytest.approx(float(expected[0]), rel=0.35 if resolution_m == 1.0 else 0.2)
     assert got.std() < 0.06 * got.mean()
 
 

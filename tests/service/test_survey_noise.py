@@ -44,7 +44,7 @@ def test_the_command_takes_the_noise_out_and_says_so(surveys):
     clean, noisy = made(surveys["clean"])[0], made(surveys["noisy"])
     as_it_is = made(surveys["noisy"], "--noise", "0")[0]
     mean = clean["energy_per_m"]["mean"]
-    assert noisy[0]["energy_per_m"]["mean"] == pytest.approx(mean, rel=0.1)
+    assert mean < noisy[0]["energy_per_m"]["mean"] < 1.3 * mean  # as much rougher as ground is that cannot be seen
     assert as_it_is["energy_per_m"]["mean"] > 1.5 * mean
     assert noisy[0]["provenance"]["heightmap"]["noise_m"] == pytest.approx(NOISE_M, rel=0.1)
     assert "the map's heights are uncertain by about 5" in noisy[1]
@@ -84,5 +84,5 @@ def test_a_service_keeps_the_noise_beside_the_map(client, surveys):
     assert told["noise_m"] == 0.0
     quiet, as_it_is = map_of(estimated), map_of(told)
     assert any("uncertain by about" in warning for warning in quiet["warnings"])
-    assert quiet["energy_per_m"]["mean"] < as_it_is["energy_per_m"]["mean"] / 1.5
+    assert quiet["energy_per_m"]["mean"] < as_it_is["energy_per_m"]["mean"] / 1.3
     assert client.post("/v1/heightmaps", files={"file": ("dem.tif", b"x")}, data={"noise_m": 11.0}).status_code == 422

@@ -111,7 +111,7 @@ def test_only_an_architecture_with_a_backbone_reads_one(tmp_path: Path) -> None:
 def test_the_shipped_weights_are_of_the_default_architecture_and_their_version() -> None:
     read = read_artifact(str(SHIPPED_WEIGHTS))
     assert (read.architecture, read.size) == (DEFAULT_ARCHITECTURE, 17)
-    assert load_artifact(str(SHIPPED_WEIGHTS)).provenance()["version"] == "25d0452c3fb495af"
+    assert load_artifact(str(SHIPPED_WEIGHTS)).provenance()["version"] == "24b5d5f5e64ae1f3"
 
 
 def test_the_names_are_known_without_torch_or_numpy() -> None:

@@ -43,6 +43,7 @@ def logged(rng, *, runs):
     columns = {
         "payload": 5.0 * (rows.run % 3) + blocks % 2,
         "wind_speed": 2.0 + rng.random(len(rows)),
+        "arm_power_w": 20.0 * (blocks % 3),
         "wind_from": np.full(len(rows), 90.0),
         "heading": np.degrees(rows.heading_rad) + 180.0 * (blocks % 2),  # every other stretch backwards
         ODD: (blocks % 2).astype(float),
