@@ -130,7 +130,8 @@ def test_four_drives_of_a_warthog_predict_the_fifth_as_well_as_the_best_simple_m
         assert error < 1.1 * min(found["rmse_j_by_run"][run] for found in simple.values()), run
     assert made.held_out["rmse_j"] < 1.01 * min(found["rmse_j"] for found in simple.values())
     assert made.held_out["mean_absolute_error_j"] < min(found["mean_absolute_error_j"] for found in simple.values())
-    assert facts["warnings"] == []
+    better = any(found["rmse_j"] < made.held_out["rmse_j"] for found in simple.values())
+    assert len(facts["warnings"]) == better  # a simple model that does better is said
     assert 3000.0 < facts["turn_j_per_rad"] < 6000.0  # scrubbing a quarter of the weight at about half a metre
     assert 0.0 < facts["drive_costs"]["speed_up_kg"] <= 2.0 * WARTHOG.mass_kg
     slow, fast = read_artifact(tmp_path / "warthog").domain.driven["speed_mps"]
