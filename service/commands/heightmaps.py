@@ -57,6 +57,7 @@ def info(
     rover, ground = robot_of(robot), open_ground(heightmap, **reading)
     frame, seen = ground.frame, visible_features(ground, rover)
     low, high = overview(ground).height_range
+    warnings = heightmap_warnings(ground)
     output.say(ground.source, head="Heightmap")
     output.table(
         {
@@ -69,7 +70,7 @@ def info(
             **dict(zip(("slopes", "bumps", "steps"), seen.in_words(rover), strict=True)),
         }
     )
-    output.warn([*ground.notes, *heightmap_warnings(ground)])
+    output.warn([*ground.notes, *warnings])
     output.document(
         {
             "source": ground.source,
@@ -82,7 +83,7 @@ def info(
             "known_share": ground.known_share,
             **asdict(seen),
             "notes": list(ground.notes),
-            "warnings": heightmap_warnings(ground),
+            "warnings": warnings,
         }
     )
 

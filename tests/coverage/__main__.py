@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from joulemap.model.energy.uncertainty import fit_spread
-from joulemap.model.field.sites import SURVEYS
+from joulemap.model.field.sites import SURVEYS, random_survey
 from tests.coverage.real import cuadriga, drive, keep, kept, left_out, real_folder, routes_of
 from tests.coverage.scores import Judged, columns_of, judged, scores, taken
 from tests.coverage.simulated import simulated
@@ -32,14 +32,17 @@ def main() -> None:
     parser.add_argument("--real", action="store_true", help="only the real runs")
     parser.add_argument("--sites", type=int, default=300, metavar="N", help="simulated sites, a drive on each (300)")
     parser.add_argument(
-        "--survey", choices=SURVEYS, help="only simulated sites, as this survey shows them, by the network's own spread"
+        "--survey",
+        choices=(*SURVEYS, "any"),
+        help="only simulated sites, as this survey shows them, by the network's own spread",
     )
     parser.add_argument("--kept", type=Path, metavar="DIR", help="keep all predictions here, or read them")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write all figures here")
     asked = parser.parse_args()
     figures: dict[str, Any] = {}
     if asked.survey is not None:
-        held, _, spread = simulated(asked.sites, survey=SURVEYS[asked.survey])
+        draw = random_survey if asked.survey == "any" else lambda _: SURVEYS[asked.survey]
+        held, _, spread = simulated(asked.sites, survey=draw)
         figures[asked.survey] = _say(asked.survey, [judged(asked.survey, spread, held, shortest=20, longest=300)])
     elif not asked.real:
         figures["simulated"] = _simulated(asked.sites, asked.kept)

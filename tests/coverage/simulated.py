@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -29,20 +30,23 @@ SEED = 20261123
 SMOOTH_SHARE, DECLARED_SPREAD = 0.2, 0.08  # as the shipped network was trained
 
 
-def simulated(sites: int, *, seed: int = SEED, survey: SurveyQuality | None = None) -> tuple[Held, np.ndarray, Spread]:
+def simulated(
+    sites: int, *, seed: int = SEED, survey: Callable[[np.random.Generator], SurveyQuality] | None = None
+) -> tuple[Held, np.ndarray, Spread]:
     """Held-out segments of the shipped network, with its own deviations before any factor; those of `physics`; and the
     network's own spread.
 
-    survey : of every site; drawn as by scanners where None.
+    survey : draws that of a site; as by scanners where None.
     """
     network, physics = load_predictor("default"), load_predictor("physics")
     parts: list[tuple[np.ndarray, ...]] = []
     for number in range(sites):
         rng = np.random.default_rng([seed, number])
+        quality = None if survey is None else survey(np.random.default_rng([seed, number, 1]))
         if rng.random() < SMOOTH_SHARE:
-            site = smooth_site(rng, survey)
+            site = smooth_site(rng, quality)
         else:
-            site = random_site(rng, max_slope_deg=MAX_SLOPE_DEG, survey=survey)
+            site = random_site(rng, max_slope_deg=MAX_SLOPE_DEG, survey=quality)
         level = level_ground(site.ground, rng)
         declared, truth, here = _robot(site, level, rng)
         points = random_waypoints(site.drivable, int(rng.integers(4, 26)), rng)

@@ -47,11 +47,11 @@ def test_noise_cells_and_steps_of_three_surveys(surveys: dict[str, Path]) -> Non
 
 
 def test_the_slope_of_a_square_metre_is_as_uncertain_as_said(surveys: dict[str, Path]) -> None:
-    told = answer("info", str(surveys["national"]), "--noise", "0.2")
-    assert told["noise_given"]
+    given = answer("info", str(surveys["national"]), "--noise", "0.2")
+    assert given["noise_given"]
     side = np.arange(2) - 0.5  # the four heights that a plane over a metre goes through
     rise = np.random.default_rng(0).normal(0.0, 0.2, (20_000, 2, 2)) @ np.ones(2) @ side / (2 * (side**2).sum())
-    assert told["slope_std_deg"] == pytest.approx(np.degrees(np.arctan(rise.std())), rel=0.03)
+    assert given["slope_std_deg"] == pytest.approx(np.degrees(np.arctan(rise.std())), rel=0.03)
 
 
 def test_a_file_that_is_no_heightmap_is_refused(tmp_path: Path) -> None:
