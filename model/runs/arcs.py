@@ -90,6 +90,9 @@ class ArcTrack:
     gap_m: float
     interval_s: float
     usual_mps: float
+    velocity: tuple[FloatArray, FloatArray]
+    velocity_var: FloatArray
+    correlated_s: float
 
 
 def arc_track(run: Run, length_m: float) -> ArcTrack:
@@ -113,6 +116,8 @@ def arc_track(run: Run, length_m: float) -> ArcTrack:
     piece = np.cumsum(gap, dtype=np.int64)
     x, y, vx, vy = smooth(t, x, y, piece, max(SMOOTHING_S, interval))
     speed = np.hypot(vx, vy)
+    sig = max(SMOOTHING_S, interval)
+    var = np.full(t.size, (max(_noise(run.x[fixes], run.y[fixes], moved),1e-3) / sig) ** 2)
     within = max(STILL_M, _NOISES * _noise(run.x[fixes], run.y[fixes], moved))
     rims = _rims(run, rows, piece)
     rates = [np.abs(np.gradient(rim, t)) if t.size > 1 else np.zeros(t.size) for rim in rims]
@@ -123,7 +128,7 @@ def arc_track(run: Run, length_m: float) -> ArcTrack:
     arc = np.cumsum(np.where(gap | stays, 0.0, step))
     moving = speed[speed >= within / STOP_S]
     usual = float(np.median(moving)) if moving.size else 0.0
-    return ArcTrack(rows, t, x, y, speed, gap, stop, still, arc, gap_m, interval, usual)
+    return ArcTrack(rows, t, x, y, speed, gap, stop, still, arc, gap_m, interval, usual, (vx, vy), var, 2.0 * sig)
 
 
 def segment_length(run: Run) -> float:

@@ -33,7 +33,6 @@ from joulemap.model.frames import heading_of, wrap_angle
 from joulemap.model.runs.arcs import (
     STILL_M,
     STOP_S,
-    arc_headings,
     arc_track,
     equal_parts,
     on_rows,
@@ -41,6 +40,7 @@ from joulemap.model.runs.arcs import (
     station_at,
     stops_of,
 )
+from joulemap.model.runs.headings import headings
 from joulemap.model.runs.reader import Run
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
@@ -113,7 +113,8 @@ def _along_the_track(run: Run, length_m: float, charge: bool, max_speed_mps: flo
     stays = track.still & np.concatenate([[False], track.still[:-1]]) & ~track.gap
     pt, qt = _at(t)
     ps, qs = _at(track.arc_m)
-    heading = arc_headings(run, track)
+    pointed = headings(run, track.rows, track.gap, track.velocity, track.velocity_var, ~track.still, track.correlated_s)
+    heading = pointed.smoothed.value
     change, _, _ = turns_between(t, heading, ends)
     moving = np.where(stays | stops, 0.0, wrap_angle(np.diff(heading, prepend=heading[:1])))
     _, turned_abs, gentle = turns_between(t, np.cumsum(moving), ends)
