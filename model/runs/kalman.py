@@ -219,9 +219,9 @@ def _pass(t, begins, values, variances, of_rate, period, q, robust, back):
             spread = first + noise
             square = off * off / spread
             if first < 0.01 * _UNKNOWN:
-                total -= 0.5 * math.log(spread) + 0.5 * (FREEDOM + 1.0) * math.log(1.0 + square / FREEDOM)
+                total -= 0.5 * math.log(spread) + (0.5 * square if square < 9.0 else 3.0 * math.sqrt(square) - 4.5)
             if robust:
-                noise *= max((FREEDOM + square) / (FREEDOM + 1.0), 1.0)
+                noise *= max(math.sqrt(square) / 3.0, 1.0)
                 spread = first + noise
             if of_rate[i]:
                 g0, g1 = p01 / spread, p11 / spread
