@@ -14,9 +14,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from joulemap.model.runs.headings import Velocity
 from joulemap.model.runs.reader import Run
 from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
-from joulemap.model.runs.track import compass_headings, direction_of_travel, integral
+from joulemap.model.runs.track import integral
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -37,7 +38,6 @@ _ROWS_BRIDGED = 2.5  # intervals between stamps: one missing row makes two, and 
 _RIM_M = 0.5  # half the width of a robot of 1 m: turning moves its side so far per radian
 _WHEEL_RADIUS_M = 0.2  # of a wheel whose rate is logged in rad/s, to tell rolling from standing only
 _NOISES = 4.0  # a stationary position wanders by up to so many standard deviations, as in 99.99 % of a normal one
-_SLOW_SHARE = 0.15  # of the usual speed: below it, positions do not tell a direction
 _HEADINGS = ("heading", "yaw")  # [deg]
 _WHEELS = {
     "speed_left": 1.0,
@@ -74,8 +74,8 @@ class ArcTrack:
         Straight distances across gaps, without jumps of the position [m].
     interval_s : float
         The usual time between fixes.
-    usual_mps : float
-        Median speed while it moves.
+    velocity : Velocity
+        Of the positions.
     """
 
     rows: NDArray[np.int64]
@@ -89,10 +89,7 @@ class ArcTrack:
     arc_m: FloatArray
     gap_m: float
     interval_s: float
-    usual_mps: float
-    velocity: tuple[FloatArray, FloatArray]
-    velocity_var: FloatArray
-    correlated_s: float
+    velocity: Velocity
 
 
 def arc_track(run: Run, length_m: float) -> ArcTrack:
@@ -114,11 +111,11 @@ def arc_track(run: Run, length_m: float) -> ArcTrack:
     moved = (np.diff(run.x[fixes]) != 0) | (np.diff(run.y[fixes]) != 0)
     interval = float(np.median(np.diff(run.t[fixes])[moved])) if moved.any() else 0.0
     piece = np.cumsum(gap, dtype=np.int64)
-    x, y, vx, vy = smooth(t, x, y, piece, max(SMOOTHING_S, interval))
+    smoothing_s = max(SMOOTHING_S, interval)
+    x, y, vx, vy = smooth(t, x, y, piece, smoothing_s)
     speed = np.hypot(vx, vy)
-    sig = max(SMOOTHING_S, interval)
-    var = np.full(t.size, (max(_noise(run.x[fixes], run.y[fixes], moved),1e-3) / sig) ** 2)
-    within = max(STILL_M, _NOISES * _noise(run.x[fixes], run.y[fixes], moved))
+    noise = position_noise(run.x[fixes], run.y[fixes], moved)
+    within = max(STILL_M, _NOISES * noise)
     rims = _rims(run, rows, piece)
     rates = [np.abs(np.gradient(rim, t)) if t.size > 1 else np.zeros(t.size) for rim in rims]
     still = np.max([speed, *rates], axis=0) < within / STOP_S
@@ -126,9 +123,7 @@ def arc_track(run: Run, length_m: float) -> ArcTrack:
     step = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
     stays = _both(speed < within / STOP_S) | _both(stop)
     arc = np.cumsum(np.where(gap | stays, 0.0, step))
-    moving = speed[speed >= within / STOP_S]
-    usual = float(np.median(moving)) if moving.size else 0.0
-    return ArcTrack(rows, t, x, y, speed, gap, stop, still, arc, gap_m, interval, usual, (vx, vy), var, 2.0 * sig)
+    return ArcTrack(rows, t, x, y, speed, gap, stop, still, arc, gap_m, interval, Velocity(vx, vy, noise, smoothing_s))
 
 
 def segment_length(run: Run) -> float:
@@ -184,25 +179,6 @@ def station_at(arc_m: FloatArray, at_m: FloatArray) -> FloatArray:
     step = arc_m[after] - arc_m[after - 1]
     share = np.where(step > 0, (at_m - arc_m[after - 1]) / np.where(step > 0, step, 1.0), 1.0)
     return np.asarray(after - 1 + np.clip(share, 0.0, 1.0), dtype=np.float64)
-
-
-def arc_headings(run: Run, track: ArcTrack) -> FloatArray:
-    """Return where the robot points.
-
-    Result (m,): heading [rad], not wrapped: of the column `heading` where it agrees with the track; otherwise the
-    direction of the track, and, where the robot is too slow to have one, in even steps from that before to that after.
-    """
-    filled = on_rows(run, track)
-    piece = np.cumsum(track.gap, dtype=np.int64)
-    x, y = filled.x[track.rows], filled.y[track.rows]
-    direction = direction_of_travel(track.t, x, y, piece, track.interval_s)
-    pointed = compass_headings(filled, track.rows, piece, track.interval_s, track.speed, direction)
-    if pointed is not None:
-        return np.unwrap(pointed)
-    clear = track.speed >= _SLOW_SHARE * track.usual_mps
-    if not clear.any():
-        return np.zeros(track.t.size)
-    return np.asarray(np.interp(track.t, track.t[clear], np.unwrap(direction[clear])))
 
 
 def on_rows(run: Run, track: ArcTrack) -> Run:
@@ -265,8 +241,21 @@ def _gaps(run: Run, fixes: NDArray[np.int64], length_m: float) -> tuple[BoolArra
     return between, float(distance[between & ~broke].sum())
 
 
-def _noise(x: FloatArray, y: FloatArray, moved: BoolArray) -> float:
-    """Standard deviation [m] of single fixes, from how three in a row leave a straight line."""
+def position_noise(x: FloatArray, y: FloatArray, moved: BoolArray) -> float:
+    """Return the noise of single fixes, from how three in a row leave a straight line.
+
+    Parameters
+    ----------
+    x, y : ndarray of float, (k,)
+        Fixes [m].
+    moved : ndarray of bool, (k - 1,)
+        Whether each differs from the one before.
+
+    Returns
+    -------
+    float
+        Standard deviation [m].
+    """
     fresh = np.concatenate([[True], moved])
     if fresh.sum() < 4:
         return 0.0

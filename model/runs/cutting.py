@@ -36,11 +36,12 @@ from joulemap.model.runs.arcs import (
     arc_track,
     equal_parts,
     on_rows,
+    position_noise,
     segment_length,
     station_at,
     stops_of,
 )
-from joulemap.model.runs.headings import headings
+from joulemap.model.runs.headings import Velocity, headings
 from joulemap.model.runs.reader import Run
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
@@ -50,7 +51,6 @@ from joulemap.model.runs.track import (
     integral,
     pieces_of,
     stationary_intervals,
-    track_headings,
     track_speeds,
     turns_between,
 )
@@ -113,7 +113,7 @@ def _along_the_track(run: Run, length_m: float, charge: bool, max_speed_mps: flo
     stays = track.still & np.concatenate([[False], track.still[:-1]]) & ~track.gap
     pt, qt = _at(t)
     ps, qs = _at(track.arc_m)
-    pointed = headings(run, track.rows, track.gap, track.velocity, track.velocity_var, ~track.still, track.correlated_s)
+    pointed = headings(run, track.rows, track.gap, track.velocity, ~track.still)
     heading = pointed.smoothed.value
     change, _, _ = turns_between(t, heading, ends)
     moving = np.where(stays | stops, 0.0, wrap_angle(np.diff(heading, prepend=heading[:1])))
@@ -143,6 +143,7 @@ def _along_the_track(run: Run, length_m: float, charge: bool, max_speed_mps: flo
         "duration_s": duration,
         "driven_m": qs - ps,
         "heading_change_rad": change,
+        "turn_sd_rad": pointed.turn_sd(ends),
         "turned_abs_rad": turned_abs,
         "gentle_turn_rad": gentle,
         "gained_m2ps2": _between(rises),
@@ -195,7 +196,9 @@ def _chords(run: Run, length_m: float, charge: bool, max_speed_mps: float) -> Se
     gap = np.concatenate([[True], (np.diff(t) > longest_gap) | run.breaks[good][1:]])
     jumps = np.hypot(np.diff(x), np.diff(y))[gap[1:] & ~run.breaks[good][1:]]
     add_count(left_out, "gaps", int(gap.sum()) - 1)
-    x, y, vx, vy = smooth(t, x, y, np.cumsum(gap), max(SMOOTHING_S, interval))
+    noise = position_noise(x, y, (np.diff(x) != 0) | (np.diff(y) != 0))
+    smoothing_s = max(SMOOTHING_S, interval)
+    x, y, vx, vy = smooth(t, x, y, np.cumsum(gap), smoothing_s)
     speed = np.hypot(vx, vy)
     own = speed[(speed > 0.0) & (speed <= max_speed_mps)]
     usual = float(np.median(own[own > 0.25 * np.quantile(own, 0.9)])) if own.size else 0.0
@@ -212,12 +215,13 @@ def _chords(run: Run, length_m: float, charge: bool, max_speed_mps: float) -> Se
     (px, qx), (py, qy), (pt, qt) = _at(x), _at(y), _at(t)
     step = np.concatenate([[0.0], np.hypot(np.diff(x), np.diff(y))])
     ps, qs = _at(np.cumsum(step))
-    turned, turned_abs, gentle = turns_between(t, track_headings(run, good, np.cumsum(gap), interval, speed), ends)
+    standing = (speed < STILL_M / STOP_S) & ~gap
+    pointed = headings(run, good, gap, Velocity(vx, vy, noise, smoothing_s), ~standing)
+    turned, turned_abs, gentle = turns_between(t, pointed.smoothed.value, ends)
     half_square = 0.5 * track_speeds(run, good, np.cumsum(gap), interval, speed) ** 2
     rises = np.maximum(np.diff(half_square, prepend=0.0), 0.0)
     gained_p, gained_q = _at(np.cumsum(np.where(gap, 0.0, rises)))
     kinetic_p, kinetic_q = _at(half_square)
-    standing = (speed < STILL_M / STOP_S) & ~gap
     standing_p, standing_q = _at(np.cumsum(np.where(standing, np.diff(t, prepend=t[0]), 0.0)))
     power = run.drawn(charge=charge)
     energy = integral(run.t, power, qt) - integral(run.t, power, pt)
@@ -230,6 +234,7 @@ def _chords(run: Run, length_m: float, charge: bool, max_speed_mps: float) -> Se
         "duration_s": qt - pt,
         "driven_m": qs - ps,
         "heading_change_rad": turned,
+        "turn_sd_rad": pointed.turn_sd(ends),
         "t0": pt,
         "turned_abs_rad": turned_abs,
         "gentle_turn_rad": gentle,

@@ -35,6 +35,7 @@ _LAG_S = 2.0  # over which turns are compared with the track: long beside its no
 _LESS_COSINE = 0.05  # a column of noise of 18 degrees is not worse than none on a straight way
 _BLANK_S = 1.0  # longest blank of a column that is bridged, or two and a half of its usual intervals
 _LEAST_RATE = 1e-4  # rad/s, of rounding
+_LEAST_NOISE_M = 1e-3  # of positions that are rounded to millimetres
 
 
 @dataclass(frozen=True)
@@ -69,10 +70,27 @@ class Headings:
         return np.sqrt(_turn_var(self.smoothed.covariance, self.smoothed.gain, rows[:, 0], rows[:, 1]))
 
 
-def headings(
-    run: Run, rows: NDArray[np.int64], begins: BoolArray, velocity: tuple[FloatArray, FloatArray], velocity_var: FloatArray, active: BoolArray,
-    correlated_s: float,
-) -> Headings:
+@dataclass(frozen=True)
+class Velocity:
+    """Of smoothed positions.
+
+    Attributes
+    ----------
+    east, north : ndarray of float, (m,)
+        At every row of a track [m/s].
+    noise_m : float
+        Standard deviation of single positions.
+    smoothing_s : float
+        Over which they were smoothed, and over twice which errors are alike.
+    """
+
+    east: FloatArray
+    north: FloatArray
+    noise_m: float
+    smoothing_s: float
+
+
+def headings(run: Run, rows: NDArray[np.int64], begins: BoolArray, velocity: Velocity, active: BoolArray) -> Headings:
     """Return where the robot points at every row of its track.
 
     Parameters
@@ -83,10 +101,10 @@ def headings(
         Rows of the run on its track.
     begins : ndarray of bool, (m,)
         True where a piece begins.
-    velocity : tuple of ndarray of float, (m,)
-        To the east and to the north [m/s].
-    velocity_var : ndarray of float, (m,)
-        Variance of each of them, as of independent measurements [m^2/s^2].
+    velocity : Velocity
+        At these rows.
+    active : ndarray of bool, (m,)
+        Where the robot drives or turns: rest says nothing of the noise of motion.
 
     Returns
     -------
@@ -94,15 +112,18 @@ def headings(
         At these rows.
     """
     t = run.t[rows]
-    square = velocity[0] ** 2 + velocity[1] ** 2
-    direction = heading_of(*velocity)
-    clear = square > 4.0 * velocity_var
+    square = velocity.east**2 + velocity.north**2
+    direction = heading_of(velocity.east, velocity.north)
+    known_var = (max(velocity.noise_m, _LEAST_NOISE_M) / velocity.smoothing_s) ** 2
+    clear = square > 4.0 * known_var  # two standard deviations from rest
     names, rates, variances = [], [], []
     for name, rate, known in _rates(run, rows, begins, direction, clear):
         names.append(name)
         rates.append(rate)
         variances.append(known)
-    alike = np.maximum(correlated_s / np.maximum(np.diff(t, prepend=t[0]), 1e-6), 1.0)  # rows that share an error
+    alike = np.maximum(
+        2.0 * velocity.smoothing_s / np.maximum(np.diff(t, prepend=t[0]), 1e-6), 1.0
+    )  # rows that share an error
     alike = np.where(begins, 1.0, alike)
     per = alike / np.where(clear, square, 1.0)
     ones = np.ones((len(rates), t.size))
@@ -110,7 +131,7 @@ def headings(
         t,
         begins,
         np.stack([np.where(clear, direction, np.nan), *rates]),
-        np.vstack([velocity_var * per, ones * np.array(variances)[:, None]]),
+        np.vstack([known_var * per, ones * np.array(variances)[:, None]]),
         np.vstack([per, ones]),
         np.array([False] + [True] * len(rates)),
         math.pi if rates else 2.0 * math.pi,  # a robot that reverses points against its way

@@ -130,9 +130,7 @@ def smooth(sensors: Sensors, noise_sd: FloatArray, q: float) -> Smoothed:
         )
         off = sensors.values - np.where(sensors.of_rate[:, None], rate, value)
         if math.isfinite(sensors.period):
-            off = np.where(
-                sensors.of_rate[:, None], off, off - sensors.period * np.round(off / sensors.period)
-            )
+            off = np.where(sensors.of_rate[:, None], off, off - sensors.period * np.round(off / sensors.period))
         known = np.where(sensors.of_rate[:, None], covariance[:, 1, 1], covariance[:, 0, 0])
         variances = scale * (FREEDOM + (off**2 + known) / scale) / (FREEDOM + 1.0)
     return Smoothed(value, rate, covariance, gain)
@@ -176,7 +174,10 @@ def likeliest(
     logs = np.log(np.append(np.maximum(start, least)[known], q))
     simplex = np.vstack([logs, logs + np.eye(logs.size)])
     found = minimize(
-        _loss, logs, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.1, "maxfev": 200, "initial_simplex": simplex}
+        _loss,
+        logs,
+        method="Nelder-Mead",
+        options={"xatol": 0.05, "fatol": 0.1, "maxfev": 200, "initial_simplex": simplex},
     )
     return _of(found.x)
 

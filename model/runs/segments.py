@@ -44,6 +44,8 @@ class Segments:
         Horizontal length of the track.
     heading_change_rad : ndarray of float, (n,)
         Of the track from p to q, positive to the right.
+    turn_sd_rad : ndarray of float, (n,)
+        Standard deviation of `heading_change_rad`; NaN where it is not known.
     turned_abs_rad : ndarray of float, (n,)
         Turns to both sides, added up.
     gentle_turn_rad : ndarray of float, (n, 7)
@@ -114,8 +116,11 @@ class Segments:
     left_out: dict[str, int] = field(default_factory=dict)
     left_out_m: dict[str, float] = field(default_factory=dict)
     track_m: float = 0.0
+    turn_sd_rad: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
+        if self.turn_sd_rad.size != self.x.size:
+            object.__setattr__(self, "turn_sd_rad", np.full(self.x.size, np.nan))
         for item in fields(self):
             values = getattr(self, item.name)
             if isinstance(values, np.ndarray):

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from joulemap.model.frames import heading_of, wrap_angle
+from joulemap.model.frames import wrap_angle
 from joulemap.model.runs.reader import Run
 from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
 
@@ -16,77 +16,8 @@ FloatArray = NDArray[np.float64]
 
 TURN_LIMITS_RADPS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8)
 """Limits up to which a gentle turn counts how fast a robot turns."""
-_TRACK_HEADING_S = 0.5  # directions need more smoothing than places
-_COMPASS_AGREES_RAD = 0.25
-_JUMP_RAD, _JUMP_S = math.pi / 2.0, 0.25
 _STATIONARY_WITHIN_M = 0.05
 _STATIONARY_EVENLY = 0.25
-
-
-def track_headings(
-    run: Run, good: NDArray[np.int64], piece: NDArray[np.int64], interval: float, speed: FloatArray
-) -> FloatArray:
-    """Return where the robot points.
-
-    `good` (m,): its rows with a usable fix; `piece` (m,): number of the piece between gaps; `interval`: the usual time
-    between fixes [s]; `speed` (m,): of the track [m/s]. Result (m,): heading [rad]: the column `heading` where it
-    agrees with the track, because a compass knows it better than positions do; otherwise the direction of the track.
-    """
-    track = direction_of_travel(run.t[good], run.x[good], run.y[good], piece, interval)
-    pointed = compass_headings(run, good, piece, interval, speed, track)
-    return track if pointed is None else pointed
-
-
-def direction_of_travel(
-    t: FloatArray, x: FloatArray, y: FloatArray, piece: NDArray[np.int64], interval: float
-) -> FloatArray:
-    """Return the direction of a track.
-
-    `t`, `x`, `y` (m,): stamps [s] and positions [m]; `piece` (m,): number of the piece between gaps; `interval`: the
-    usual time between fixes [s]. Result (m,): heading [rad].
-    """
-    _, _, vx, vy = smooth(t, x, y, piece, max(_TRACK_HEADING_S, interval))
-    return heading_of(vx, vy)
-
-
-def compass_headings(
-    run: Run,
-    good: NDArray[np.int64],
-    piece: NDArray[np.int64],
-    interval: float,
-    speed: FloatArray,
-    track: FloatArray,
-) -> FloatArray | None:
-    """Return the column `heading`, smoothed, if it agrees with the direction of the track.
-
-    `good` (m,): its rows on the track; `piece` (m,): number of the piece between gaps; `interval`: the usual time
-    between fixes [s]; `speed` (m,): of the track [m/s]; `track` (m,): its direction [rad]. Result (m,): heading [rad].
-    """
-    compass = run.extras.get("heading")
-    if compass is None or np.isfinite(compass[good]).mean() < 0.8:
-        return None
-    t, known = run.t[good], np.isfinite(compass)
-    turns = without_jumps(run.t[known], np.unwrap(np.radians(compass[known])))
-    pointed = np.interp(t, run.t[known], turns)
-    clear = speed > 0.5 * float(np.quantile(speed, 0.9))
-    if np.median(np.abs(wrap_angle(pointed - track)[clear])) > _COMPASS_AGREES_RAD:
-        return None
-    north, east, _, _ = smooth(t, np.cos(pointed), np.sin(pointed), piece, max(SMOOTHING_S, interval))
-    return heading_of(east, north)
-
-
-def without_jumps(t: FloatArray, heading: FloatArray) -> FloatArray:
-    """Take jumps out of a heading, as when a registration starts and replaces its first guess.
-
-    A change by more than a quarter turn between two rows less than a quarter second apart is no turning: no ground
-    vehicle turns by a full circle in a second.
-
-    `t` (n,): stamps [s]; `heading` (n,): unwrapped [rad]. Result (n,): the heading [rad]; what lies before a jump is
-    turned by it.
-    """
-    step = np.diff(heading)
-    jump = np.where((np.abs(step) > _JUMP_RAD) & (np.diff(t) < _JUMP_S), step, 0.0)
-    return heading + np.concatenate([np.cumsum(jump[::-1])[::-1], [0.0]])
 
 
 def turns_between(t: FloatArray, heading: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
