@@ -114,6 +114,7 @@ def headings(run: Run, rows: NDArray[np.int64], begins: BoolArray, velocity: Vel
     t = run.t[rows]
     square = velocity.east**2 + velocity.north**2
     direction = heading_of(velocity.east, velocity.north)
+    # as of two fixes so far apart: those of a receiver err alike over seconds, and averaging them gains nothing
     known_var = (max(velocity.noise_m, _LEAST_NOISE_M) / velocity.smoothing_s) ** 2
     clear = square > 4.0 * known_var  # two standard deviations from rest
     names, rates, variances = [], [], []
