@@ -1,12 +1,13 @@
 """A Rauch-Tung-Striebel smoother of one quantity and its rate, with the noise of each sensor by maximum likelihood.
 
 The quantity moves with a rate that changes at random: white noise of spectral density `q`. Sensors measure the quantity
-or its rate. Errors have the density of Student's t with `FREEDOM` degrees of freedom, so that a spike weighs little.
+or its rate. A spike weighs little: the errors of the smoother have the density of Student's t with `FREEDOM` degrees of
+freedom, and the likelihood of the noise is that of Huber's density, because under Student's t one sensor tends to no noise.
 
 References
 ----------
-Rauch, Tung & Striebel 1965. Särkkä & Svensson 2023, Bayesian Filtering and Smoothing, chapters 7 and 16. Roth, Özkan &
-Gustafsson 2013, A Student's t filter for heavy tailed process and measurement noise.
+Rauch, Tung & Striebel 1965. Särkkä & Svensson 2023, Bayesian Filtering and Smoothing, chapters 7 and 16. Huber 1981,
+Robust Statistics.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ FloatArray = NDArray[np.float64]
 FREEDOM = 4.0
 """Degrees of freedom of the errors: the usual choice for robust regression (Lange, Little & Taylor 1989)."""
 
+_HUBER = 3.0  # standard deviations beyond which an innovation counts linearly: the usual gate
 _UNKNOWN = 1e6  # variance before anything is measured
 _PASSES = 4  # of reweighting; weights change by less than a tenth in the last
 _BLOCKS, _BLOCK_ROWS = 5, 1000  # of a long log, whose noise is estimated from so much of it
@@ -36,8 +38,6 @@ class Smoothed:
     ----------
     value, rate : ndarray of float, (n,)
         Means.
-    value_var, rate_var : ndarray of float, (n,)
-        Variances.
     gain : ndarray of float, (n, 2, 2)
         Of the smoother, from each row to the next: with it errors of different rows covary.
     covariance : ndarray of float, (n, 2, 2)
@@ -48,16 +48,6 @@ class Smoothed:
     rate: FloatArray
     covariance: FloatArray
     gain: FloatArray
-
-    @property
-    def value_var(self) -> FloatArray:
-        """Variance of the value, (n,)."""
-        return self.covariance[:, 0, 0]
-
-    @property
-    def rate_var(self) -> FloatArray:
-        """Variance of the rate, (n,)."""
-        return self.covariance[:, 1, 1]
 
 
 @dataclass(frozen=True)
@@ -91,7 +81,18 @@ class Sensors:
     period: float = math.inf
 
     def some(self, active: NDArray[np.bool_]) -> Sensors:
-        """The rows that are active, or blocks of them where they are many."""
+        """Return the rows that are active, or blocks of them where they are many.
+
+        Parameters
+        ----------
+        active : ndarray of bool, (n,)
+            Which.
+
+        Returns
+        -------
+        Sensors
+            At these rows; a row after one that is left out begins a piece.
+        """
         rows = np.flatnonzero(active)
         if rows.size > _BLOCKS * _BLOCK_ROWS:
             first = np.linspace(0, rows.size - _BLOCK_ROWS, _BLOCKS).astype(np.int64)
@@ -101,7 +102,18 @@ class Sensors:
         return Sensors(self.t[rows], begins, values, variances, weights, self.of_rate, self.period)
 
     def scaled(self, noise_sd: FloatArray) -> FloatArray:
-        """Variance of every measurement, (m, n)."""
+        """Return the variance of every measurement.
+
+        Parameters
+        ----------
+        noise_sd : ndarray of float, (m,)
+            Standard deviation of each sensor's errors, beside those that are known.
+
+        Returns
+        -------
+        ndarray of float, (m, n)
+            Variances.
+        """
         return self.variances + self.weights * (noise_sd**2)[:, None]
 
 
@@ -220,9 +232,10 @@ def _pass(t, begins, values, variances, of_rate, period, q, robust, back):
             spread = first + noise
             square = off * off / spread
             if first < 0.01 * _UNKNOWN:
-                total -= 0.5 * math.log(spread) + (0.5 * square if square < 9.0 else 3.0 * math.sqrt(square) - 4.5)
+                size = math.sqrt(square)
+                total -= 0.5 * math.log(spread) + (0.5 * square if size < _HUBER else _HUBER * (size - 0.5 * _HUBER))
             if robust:
-                noise *= max(math.sqrt(square) / 3.0, 1.0)
+                noise *= max(math.sqrt(square) / _HUBER, 1.0)
                 spread = first + noise
             if of_rate[i]:
                 g0, g1 = p01 / spread, p11 / spread

@@ -10,6 +10,8 @@ from typer.testing import CliRunner
 
 import joulemap as jm
 from joulemap.model.errors import RunsError, TooLargeError
+from joulemap.model.runs.cutting import cut_segments
+from joulemap.model.runs.reader import read_run
 from joulemap.service.cli import app
 from joulemap.service.intake.limits import ReadLimits
 from joulemap.service.intake.trial import refuse_deadly
@@ -227,3 +229,19 @@ def test_copies_of_a_log_are_one_run(client, tmp_path):
     assert run["first_rows"]["voltage"] == [24.0] * 5
     assert run["confidence"]["voltage"] == 1.0
     assert run["energy_j"] == pytest.approx(run["per_m"] * run["metres"], rel=0.02)
+
+
+def test_a_yaw_of_unknown_zero_takes_turns_out_that_never_happened(tmp_path):
+    """Imported on the command line: a straight drive with scattered positions, and the yaw of an IMU."""
+    north = 4_000_015.0 + 0.15 * np.random.default_rng(0).standard_normal(ROWS)
+    bearing = np.round(200.0 + 0.2 * np.random.default_rng(1).standard_normal(ROWS), 2)
+    turned = []
+    for name, columns in (("without", {}), ("with", {"yaw": bearing})):
+        (tmp_path / f"{name}.csv").write_text(odd_csv(pos_y=np.round(north, 3), **columns))
+        mapped = [part for value in MAP for part in ("--map", value)]
+        answer = CliRunner().invoke(
+            app, ["import", str(tmp_path / f"{name}.csv"), *mapped, "--out", str(tmp_path / f"{name}_kept")]
+        )
+        assert answer.exit_code == 0, answer.output
+        turned.append(cut_segments(read_run(next((tmp_path / f"{name}_kept").glob("*.csv")))).turned_abs_rad.sum())
+    assert turned[1] < 0.3 < turned[0]
