@@ -2,7 +2,7 @@
 
 The quantity moves with a rate that changes at random: white noise of spectral density `q`. Sensors measure the quantity
 or its rate. A spike weighs little: the errors of the smoother have the density of Student's t with `FREEDOM` degrees of
-freedom, and the likelihood of the noise is that of Huber's density, because under Student's t one sensor tends to no noise.
+freedom, and the noise has the likelihood of Huber's density, because under Student's t one sensor tends to no noise.
 
 References
 ----------
