@@ -27,7 +27,7 @@ _OTHER_GROUND = 0.05  # of a map beyond a range: less is not worth a warning
 
 
 class Correction(Protocol):
-    """What a calibration adds to its base model: that of `joulemap.model.loop.terms`, which knows the effects."""
+    """What a calibration adds to its base model: that of `joulemap.model.loop.correction`, which knows the effects."""
 
     @property
     def ranges(self) -> Mapping[str, tuple[float, float]]:

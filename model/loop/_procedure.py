@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from joulemap.model.loop._base_step import base_step
 from joulemap.model.loop._design import make_design
 from joulemap.model.loop._selection import Selection, select
+from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms import UNNAMED
 from joulemap.model.loop.forms._base_parameters import MEASURED_SLOPE
 from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.loop.forms.simple_costs import SimpleCosts
-from joulemap.model.loop.terms import Correction, Effect, Term
+from joulemap.model.loop.terms import Effect, Term
 from joulemap.model.runs.features import Drives, FloatArray, driven_ranges
 from joulemap.model.runs.residuals import Residuals
 

@@ -11,8 +11,9 @@ from typing import Any
 
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ConflictError, ModelError
+from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms import form_from_dict
-from joulemap.model.loop.terms import Correction, Term
+from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import Drives
 
 CALIBRATION_FILE = "calibration.json"

@@ -20,8 +20,9 @@ from joulemap.model.errors import ConflictError, InfeasibleError, InputError
 from joulemap.model.loop._procedure import SIMPLE
 from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.loop.calibration_file import save_calibrated
+from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.report import report_document
-from joulemap.model.loop.terms import Correction, turning_per_rad
+from joulemap.model.loop.terms import turning_per_rad
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import CalibrationRuns
 from joulemap.model.runs.residuals import Residuals

@@ -16,7 +16,7 @@ from joulemap.model.energy.prediction import predict_segments
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import InputError, ModelError, RunsError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.terms import Correction
+from joulemap.model.loop.correction import Correction
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import read_calibration_runs
 from joulemap.model.runs.files import read_segments

@@ -16,7 +16,7 @@ from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import InputError
-from joulemap.model.loop.terms import Correction
+from joulemap.model.loop.correction import Correction
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.route_planner import RoutePlanner

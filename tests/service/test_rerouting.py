@@ -11,9 +11,10 @@ from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import BlockedError, NoRouteError
 from joulemap.model.frames import GridFrame
 from joulemap.model.loop.calibrate import calibrate
+from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms.baseline_change import HotelLoad
 from joulemap.model.loop.forms.turning import Turning
-from joulemap.model.loop.terms import Correction, Term
+from joulemap.model.loop.terms import Term
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.calibration import correction_of

@@ -7,8 +7,9 @@ import pytest
 from joulemap.model.energy.architectures.compact.dense import CompactPredictor
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.loop.calibration_file import save_calibrated
+from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms.structure import Curve
-from joulemap.model.loop.terms import Correction, Term
+from joulemap.model.loop.terms import Term
 from joulemap.model.robot import Robot
 from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store

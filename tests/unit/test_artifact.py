@@ -25,7 +25,7 @@ from joulemap.model.energy.domain import Domain, steep_share
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import ModelError
 from joulemap.model.frames import GridFrame, heading_bins
-from joulemap.model.loop.terms import Correction
+from joulemap.model.loop.correction import Correction
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 

@@ -14,6 +14,7 @@ from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread
 from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.loop.calibration_file import read_calibrated, save_calibrated
+from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms._base_parameters import BaseParameters
 from joulemap.model.loop.forms.baseline_change import HotelLoad, RollingResistance, SensorGain
 from joulemap.model.loop.forms.climbing import Climbing
@@ -23,7 +24,7 @@ from joulemap.model.loop.forms.simple_costs import SimpleCosts
 from joulemap.model.loop.forms.speed import Speed
 from joulemap.model.loop.forms.structure import Curve
 from joulemap.model.loop.forms.turning import Turning
-from joulemap.model.loop.terms import Correction, Term
+from joulemap.model.loop.terms import Term
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from tests.reference.drives import even

@@ -9,6 +9,7 @@ import pytest
 
 from joulemap.model.errors import ModelError
 from joulemap.model.loop._design import linearised
+from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms import CHANGES, FORMS, NAMED, UNNAMED, form_from_dict
 from joulemap.model.loop.forms._base_parameters import BaseParameters
 from joulemap.model.loop.forms.auxiliary_power import AuxiliaryPower
@@ -37,7 +38,7 @@ from joulemap.model.loop.forms.terrain_class import TerrainClass, TurningByClass
 from joulemap.model.loop.forms.turning import Turning
 from joulemap.model.loop.forms.warming_up import WarmingUp
 from joulemap.model.loop.forms.wind import Wind
-from joulemap.model.loop.terms import Correction, Term, turning_per_rad
+from joulemap.model.loop.terms import Term, turning_per_rad
 from joulemap.model.runs.features import Drives, driven_ranges
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from tests.reference.drives import ROBOT, even, made_up

@@ -9,8 +9,9 @@ import joulemap as jm
 from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.errors import InputError
+from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms.speed import Speed
-from joulemap.model.loop.terms import Correction, Term
+from joulemap.model.loop.terms import Term
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.service.library.costmaps import CostMap
 from joulemap.service.models import find_predictor
