@@ -46,10 +46,6 @@ class Correction(Protocol):
         """Whether the base prediction has no scale, so that what is added replaces it."""
 
     @property
-    def alone(self) -> bool:
-        """Whether what is added to plans is all of their energy."""
-
-    @property
     def scale(self) -> float:
         """By which the energy of measured runs is multiplied."""
 
@@ -176,8 +172,7 @@ class CalibratedPredictor(Predictor):
     def _energy(self, rows: Features, beyond: FloatArray, *, planned: bool) -> FloatArray:
         """(n,) energy of rows; `beyond` is what the base model predicts beside ground and idle power."""
         correction = self.correction
-        without = correction.charge or (planned and correction.alone)
-        start = np.zeros(len(rows)) if without else rows.predicted + beyond
+        start = np.zeros(len(rows)) if correction.charge else rows.predicted + beyond
         scale = correction.planner_scale if planned else correction.scale
         return scale * (start + correction.added_energy(rows, planned=planned))
 

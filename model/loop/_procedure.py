@@ -11,17 +11,14 @@ from numpy.typing import NDArray
 from joulemap.model.loop._base_step import base_step
 from joulemap.model.loop._design import make_design
 from joulemap.model.loop._selection import Selection, select
+from joulemap.model.loop._stacking import simple_models
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms import UNNAMED
 from joulemap.model.loop.forms._base_parameters import MEASURED_SLOPE
 from joulemap.model.loop.forms.log_faults import LogFault
-from joulemap.model.loop.forms.simple_costs import SimpleCosts
 from joulemap.model.loop.terms import Effect, Term
 from joulemap.model.runs.features import Drives, FloatArray, driven_ranges
 from joulemap.model.runs.residuals import Residuals
-
-SIMPLE = {"constant": ("length",), "least_squares": ("length", "climb", "turned", "time")}
-"""Columns of simple models by name, each fitted to the same runs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +33,7 @@ class Fitted:
     base_terms: tuple[Term, ...]  # the base parameters alone, fitted for themselves
     in_logs: tuple[Term, ...]  # faults of the log beside the terms of plans, which are judged by that log
     scale: Term | None  # what makes a charge of the base model's prediction before any of this
-    simple: tuple[Term, ...]  # what the calibration competes with: a constant, and few columns
+    simple: dict[str, Term]  # what the calibration is judged beside: a constant, and few columns
     run_share: float  # standard deviation between runs that no effect explains, as a share of the energy
 
     @property
@@ -62,7 +59,7 @@ class Fitted:
             "corrected": _with(self.base_terms),
             "after": _with(self.correction.terms),
             "after_planner": _with([*self.correction.planner_terms, *self.in_logs]),
-        } | {key: term.energy(rows.features) for key, term in zip(SIMPLE, self.simple, strict=True)}
+        } | {key: term.energy(rows.features) for key, term in self.simple.items()}
 
 
 def fit(
@@ -103,8 +100,7 @@ def fit(
     correction = Correction(terms, planner_terms, ranges, drives, first, rows.charge)
     ranked = tuple(sorted(effects, key=lambda e: (isinstance(e.term.form, UNNAMED), -e.share)))
     run_share = float(np.sqrt(estimate.tau2 * selection.model.sigma2(index)))
-    recent = rows.take(np.flatnonzero(new))
-    simple = tuple(Term(form, form.fitted(recent)) for form in map(SimpleCosts, SIMPLE.values()))
+    simple = simple_models(rows.take(np.flatnonzero(new)))
     ends = low[fixed], high[fixed]
     return Fitted(selection, *ends, ranked, correction, base_terms, in_logs, scale, simple, run_share)
 

@@ -14,13 +14,12 @@ from joulemap.model.energy.mean_level import MeanLevel, mean_level
 from joulemap.model.energy.metrics import errors_of
 from joulemap.model.loop._procedure import Fitted, fit
 from joulemap.model.loop._selection import within_one_error
+from joulemap.model.loop._stacking import stacked
+from joulemap.model.loop.mixture import CALIBRATED, Mixture, mean_of
 from joulemap.model.loop.terms import Effect
 from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.refused_columns import refused_columns
 from joulemap.model.runs.residuals import Residuals, joined
-
-PLANS = ("after_planner", "least_squares", "constant", "before")
-"""Predictions that compete for plans."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +39,9 @@ class Calibration:
         `least_squares`, and `proposed`. Each prediction is of a procedure that had no part of the run.
     held_out : dict of str to ndarray of float, (n,)
         The predictions themselves.
-    proposal : str
-        Which of `PLANS` plans use: the first, unless another errs less on left-out runs by more than one standard
-        error. For `proposed` it is chosen without the run.
+    shares : dict of str to float
+        Of each prediction in what plans use, see `joulemap.model.loop.mixture`. For `proposed` they are found without
+        the run.
     levels : dict of str to MeanLevel
         Of `after` and of `proposed`: how far sums were off on left-out runs, and what they are multiplied by.
     refused : dict of str to str
@@ -60,7 +59,7 @@ class Calibration:
     held_out: dict[str, FloatArray] = field(repr=False)
     refused: dict[str, str]
     folds: int
-    proposal: str
+    shares: dict[str, float]
     levels: dict[str, MeanLevel]
     test_errors: dict[str, dict[str, Any]] | None = None
 
@@ -87,6 +86,14 @@ class Calibration:
         """The effects that were found, those that explain most first."""
         return self.fitted.effects
 
+    @property
+    def mixture(self) -> Mixture | None:
+        """What plans use; None where that is the calibrated model."""
+        if set(self.shares) == {CALIBRATED}:
+            return None
+        simple = {name: term for name, term in self.fitted.simple.items() if name in self.shares}
+        return Mixture(self.shares, simple, self.fitted.scale)
+
     def errors_on(self, others: Residuals, *, elsewhere: bool = False) -> dict[str, Any]:
         """Return the errors on other runs of the same meter, which had no part in this calibration."""
         return {key: errors_of(others, energy) for key, energy in self.states(others, elsewhere=elsewhere).items()}
@@ -95,7 +102,7 @@ class Calibration:
         """Return the predictions for other runs, by state. The result is (n,)."""
         states = self.fitted.states(others, elsewhere=elsewhere)
         states["after"] = self.levels["after"].factor * states["after"]
-        states["proposed"] = self.levels["proposed"].factor * states[self.proposal]
+        states["proposed"] = self.levels["proposed"].factor * mean_of(self.shares, states)
         return states
 
 
@@ -133,34 +140,20 @@ def calibrate(
             kept, left_out = rows.take(fold != k), rows.take(fold == k)
             for key, energy in fit(kept, new[fold != k]).states(left_out).items():
                 held[key][own_fold == k] = energy
-    proposal, held["proposed"] = _proposed(measured, held, own_fold) if count else (PLANS[0], held[PLANS[0]])
+    shares, held["proposed"] = {CALIBRATED: 1.0}, held[CALIBRATED]
+    if count:
+        shares, held["proposed"] = stacked(measured.measured, held, measured.moving, own_fold)
     levels = dict.fromkeys(("after", "proposed"), MeanLevel())
     for key in levels if count else ():  # sums of the runs that were fitted to agree
         levels[key], held[key] = _levelled(measured, held[key], own_fold)
     errors = {key: errors_of(measured, energy) for key, energy in held.items()}
-    found = Calibration(fitted, measured, base, errors, held, refused, count, proposal, levels)
+    found = Calibration(fitted, measured, base, errors, held, refused, count, shares, levels)
     return found if test is None else replace(found, test_errors=found.errors_on(test))
 
 
 def _squares(measured: Residuals, said: FloatArray) -> FloatArray:
     """Squared errors of metres, (n,)."""
     return np.where(measured.moving, (measured.measured - said) ** 2, 0.0)
-
-
-def _proposed(measured: Residuals, held: Mapping[str, FloatArray], fold: NDArray[np.int64]) -> tuple[str, FloatArray]:
-    """Which prediction errs least on left-out runs, and what would have been proposed for each fold without it."""
-    squares = [np.bincount(fold, weights=_squares(measured, held[key])) for key in PLANS]
-    by_fold = np.stack(squares).astype(np.float64)  # (plans, folds)
-
-    def _best(errors: FloatArray) -> str:
-        """The first one, unless another errs less by more than one standard error."""
-        least = int(np.argmin(errors.sum(axis=1)))
-        return PLANS[0 if within_one_error(errors[0] - errors[least]) else least]
-
-    proposed = np.empty(len(measured))
-    for k in range(by_fold.shape[1]):
-        proposed[fold == k] = held[_best(np.delete(by_fold, k, axis=1))][fold == k]
-    return _best(by_fold), proposed
 
 
 def _levelled(measured: Residuals, said: FloatArray, fold: NDArray[np.int64]) -> tuple[MeanLevel, FloatArray]:

@@ -13,11 +13,14 @@ from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms import form_from_dict
+from joulemap.model.loop.mixture import SIMPLE, Mixture
 from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import Drives
 
 CALIBRATION_FILE = "calibration.json"
-FORMAT = 3
+FORMAT = 4
+READABLE = (3, FORMAT)
+"""Format 3 has one prediction in plans in place of the mean of several."""
 
 
 def save_calibrated(folder: str | Path, correction: Correction, base: Mapping[str, Any]) -> str:
@@ -47,10 +50,10 @@ def read_calibrated(folder: str | Path) -> tuple[Correction, dict[str, Any], str
         version = content.pop("version")
     except (OSError, ValueError, KeyError, AttributeError) as error:
         raise ModelError(f"{path} cannot be read: {error!r}") from error
-    if (made := content.get("format")) != FORMAT:
+    if (made := content.get("format")) not in READABLE:
         raise ModelError(
-            f"{path} has format {made}, and this version of joulemap reads format {FORMAT}: calibrate again on the "
-            "same runs",
+            f"{path} has format {made}, and this version of joulemap reads formats {READABLE[0]} and {FORMAT}: "
+            "calibrate again on the same runs",
             format=made,
             expected=FORMAT,
         )
@@ -74,7 +77,7 @@ def _written(correction: Correction) -> dict[str, Any]:
         "spread": None if correction.spread is None else correction.spread.as_dict(),
         "scale": correction.scale,
         "planner_scale": correction.planner_scale,
-        "alone": correction.alone,
+        "mixture": None if correction.mixture is None else correction.mixture.as_dict(),
         "reliability": None if correction.reliability is None else dict(correction.reliability),
     }
 
@@ -94,11 +97,23 @@ def _read(values: Mapping[str, Any]) -> Correction:
             None if values["spread"] is None else Spread.from_dict(values["spread"]),
             float(values.get("scale", 1.0)),
             float(values.get("planner_scale", 1.0)),
-            bool(values.get("alone", False)),
+            _mixture(values),
             values.get("reliability"),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"a calibration is not complete: {error!r}") from error
+
+
+def _mixture(values: Mapping[str, Any]) -> Mixture | None:
+    if values.get("alone"):  # of format 3: the terms of plans are a simple model
+        (term,) = map(_term, values["planner_terms"])
+        name = next(name for name, columns in SIMPLE.items() if columns == term.form.coefficient_names())
+        return Mixture({name: 1.0}, {name: term})
+    if not (found := values.get("mixture")):
+        return None
+    simple = {name: _term(term) for name, term in found["simple"].items()}
+    scale = None if found["scale"] is None else _term(found["scale"])
+    return Mixture({name: float(share) for name, share in found["shares"].items()}, simple, scale)
 
 
 def _term(values: Mapping[str, Any]) -> Term:

@@ -11,6 +11,7 @@ import numpy as np
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters, with_forces
 from joulemap.model.loop.forms.log_faults import LogFault
+from joulemap.model.loop.mixture import Mixture
 from joulemap.model.loop.terms import Term, energy_of
 from joulemap.model.runs.features import Drives, Features, FloatArray, quantity, share_beyond
 
@@ -43,8 +44,8 @@ class Correction:
         Error of the calibrated model on left-out runs. Its factor is that on `std_of_segments`.
     scale, planner_scale : float
         By which the energy of measured runs, and of plans, is multiplied so that sums of left-out runs agree.
-    alone : bool
-        Whether the terms of plans are all of the energy, without the base model.
+    mixture : Mixture, optional
+        Of the terms of plans, the base model and simple models, in plans; without it the terms of plans are all.
     reliability : mapping, optional
         Of the spread, as `Reliability.as_dict`.
     """
@@ -61,7 +62,7 @@ class Correction:
     spread: Spread | None = None
     scale: float = 1.0
     planner_scale: float = 1.0
-    alone: bool = False
+    mixture: Mixture | None = None
     reliability: Mapping[str, Any] | None = None
 
     @property
@@ -73,7 +74,7 @@ class Correction:
     def only_in_logs(self) -> list[str]:
         """Titles of the effects that no plan contains, because only a log records what they depend on."""
         planned = {t.form.name for t in self.planner_terms}
-        if self.alone:
+        if self.mixture is not None and not self.mixture.of_calibrated:
             return []
         return [t.form.title for t in self.terms if t.form.name not in planned and t.form.on_map]
 
@@ -83,13 +84,17 @@ class Correction:
         Result (n,): energy [J], or charge [A s], of rows that are held within the ranges and have the base parameters
         in their energy of motion.
         """
-        terms = self.planner_terms if planned else self.terms
         first = self.first_base
         level = first is not None and isinstance(first.form, BaseParameters) and first.form.level
-        if planned and self.alone:  # of slopes that no run has shown, the base model knows what they cost
-            flat = rows.tilted(-rows.grade) if level else rows
-            held = flat.within({name: ends for name, ends in self.ranges.items() if name == "speed"})
-            return energy_of(terms, held) + rows.predicted - flat.predicted
+        if not planned:
+            return self._by_terms(self.terms, rows, level)
+        if self.mixture is None:
+            return self._by_terms(self.planner_terms, rows, level)
+        own = self._by_terms(self.planner_terms, rows, level) if self.mixture.of_calibrated else np.zeros(len(rows))
+        return self.mixture.added(own, rows, level=level, ranges=self.ranges)
+
+    def _by_terms(self, terms: Sequence[Term], rows: Features, level: bool) -> FloatArray:
+        first = self.first_base
         held = (rows.tilted(-rows.grade) if level else rows).within(
             {name: ends for name, ends in self.ranges.items() if name not in self.of_laws}
         )

@@ -17,7 +17,6 @@ from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.energy.reliability import checked_spread
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import ConflictError, InfeasibleError, InputError
-from joulemap.model.loop._procedure import SIMPLE
 from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.loop.calibration_file import save_calibrated
 from joulemap.model.loop.correction import Correction
@@ -252,14 +251,13 @@ def correction_of(
     reliability = None if check is None else check.as_dict()
     correction = found.fitted.correction
     turned = unit_j * turning_per_rad(correction.planner_terms, rows)
-    simple = dict(zip(SIMPLE, found.fitted.simple, strict=True)).get(found.proposal)
-    factor = found.levels["proposed"].factor
-    if simple is not None:
-        correction = replace(correction, planner_terms=(simple,), alone=True)
-        turned = unit_j * simple.by_name.get("turned", 0.0) - declared_turn
+    turn, factor, mixture = turned + declared_turn, found.levels["proposed"].factor, found.mixture
+    if mixture is not None:
+        turn = unit_j * mixture.turned(turn / unit_j, declared_turn / unit_j)
     return replace(
         correction,
-        turn_j_per_rad=factor * (turned + declared_turn) - declared_turn,
+        mixture=mixture,
+        turn_j_per_rad=factor * turn - declared_turn,
         conditions=conditions,
         evidence=[{"name": e.term.form.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
         spread=spread,

@@ -80,14 +80,16 @@ def plan_words(document: Mapping[str, Any]) -> list[str]:
     """
     if not document["validation"]["whole_procedure"]:
         return []
-    error, chosen = document["error"], document["proposal"]
+    error, shares = document["error"], document["plan_shares"]
     size = {key: f"{number_words(error[key]['rmse'])} {unit_of(document)}" for key in _PLANS}
-    others = ", ".join(f"{size[key]} of {words}" for key, words in _PLANS.items() if key != chosen)
-    why = "errs least" if error[chosen]["rmse"] <= min(error[key]["rmse"] for key in _PLANS) else "is not surely worse"
-    what = f"Plans use {_PLANS[chosen]}, which {why}: {size[chosen]} root mean square {validation_words(document)}"
-    choice = f" With the choice itself left to other runs it is {number_words(error['proposed']['rmse'])}."
-    differs = error["proposed"]["rmse"] != error[chosen]["rmse"]
-    lines, level = [f"{what}, against {others}.{choice if differs else ''}"], document["mean"]["proposed"]
+    parts = [f"{percent(share, 0)} {_PLANS[key]}" for key, share in sorted(shares.items(), key=lambda item: -item[1])]
+    which = f"a weighted mean, {' and '.join(parts)}"
+    if len(shares) == 1:
+        which = f"{_PLANS[next(iter(shares))]}, and no weighted mean with the others errs surely less"
+    own = f"{number_words(error['proposed']['rmse'])} {unit_of(document)} root mean square"
+    others = ", ".join(f"{size[key]} of {words}" for key, words in _PLANS.items() if list(shares) != [key])
+    what = f"Plans use {which}: {own} {validation_words(document)}"
+    lines, level = [f"{what}, against {others}."], document["mean"]["proposed"]
     if level["std"] is None:  # one run alone says nothing
         return lines
     ratio, error = percent(level["ratio"]), percent(level["std"])

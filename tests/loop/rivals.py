@@ -81,7 +81,8 @@ def lines_of(name: str, found: Calibration, fold: NDArray[np.int64]) -> list[str
     cells["proposed / best columns"] = f"{rmse(rows, said['proposed']) / best:.2f}"
     effects = ", ".join(e.term.form.name for e in found.effects) or "nothing"
     lines = [f"| {' | '.join(row)} |" for row in (cells, ["---"] * len(cells), cells.values())]
-    return [*lines, "", f"named: {effects}; plans use {found.proposal}"]
+    shares = ", ".join(f"{share:.2f} {key}" for key, share in found.shares.items())
+    return [*lines, "", f"named: {effects}; plans use {shares}"]
 
 
 _AUXILIARY = ("Heating Power CAN [kW]", "AirCon Power [kW]")
