@@ -11,7 +11,6 @@ from joulemap.planner.words import probability_words, watt_words
 if TYPE_CHECKING:
     from joulemap.planner.verdict.budget import Verdict
 
-_TELLING = 0.01  # share of the energy by which the median of drives has to differ to be said
 _LIFTED = 0.5  # share of the energy of a stretch that lifts the robot, from which it is a climb
 
 
@@ -45,11 +44,9 @@ def _odds(verdict: Verdict, course: Course) -> str:
 
 
 def _energy(verdict: Verdict) -> str:
-    median, between = verdict.energy_p50_j, ""
-    if median is not None and abs(median - verdict.energy_j) > _TELLING * abs(verdict.energy_j):
-        between = f", in the median of such drives {_wh(median)} Wh"
+    between = ""
     if verdict.energy_p05_j is not None and verdict.energy_p95_j is not None:
-        between += f" (90 % between {_wh(verdict.energy_p05_j)} and {_wh(verdict.energy_p95_j)} Wh)"
+        between = f" (90 % between {_wh(verdict.energy_p05_j)} and {_wh(verdict.energy_p95_j)} Wh)"
     words = f"expected {_wh(verdict.energy_j)} Wh{between}"
     if verdict.available_j < 0.0:
         return f"{words}, and the charge is below the reserve already"
