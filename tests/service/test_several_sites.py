@@ -128,7 +128,7 @@ def test_four_drives_of_a_warthog_predict_the_fifth_as_well_as_the_best_simple_m
     assert len(simple) == 3
     for run, error in made.held_out["rmse_j_by_run"].items():
         assert error < 1.1 * min(found["rmse_j_by_run"][run] for found in simple.values()), run
-    assert made.held_out["rmse_j"] < 1.01 * min(found["rmse_j"] for found in simple.values())
+    assert made.held_out["rmse_j"] < 1.005 * min(found["rmse_j"] for found in simple.values())
     assert made.held_out["mean_absolute_error_j"] < min(found["mean_absolute_error_j"] for found in simple.values())
     better = any(found["rmse_j"] < made.held_out["rmse_j"] for found in simple.values())
     assert len(facts["warnings"]) == better  # a simple model that does better is said
