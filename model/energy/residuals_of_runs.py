@@ -11,7 +11,7 @@ from joulemap.model.energy.prediction import predict_segments, std_of_segments
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.consistency import check_place
 from joulemap.model.runs.describe import describe_segments
 from joulemap.model.runs.record import read_record, save_record
 from joulemap.model.runs.residuals import LEAST_SEGMENTS, Residuals, residuals_of
@@ -29,7 +29,7 @@ def residuals_on(
     Result: the residuals; the readings of the battery of each row (means of voltage, current and power, and energy),
     (n,), which no effect may copy; and the standard deviation that the model assumes, (n,) [J].
     """
-    check_runs(segments, heightmap, robot)
+    check_place(segments, heightmap)
     said = predict_segments(predictor, heightmap, robot, segments)
     residuals, index = _residuals(heightmap, robot, segments, said.traction_per_m, said.energy_j, least=least)
     electric = {

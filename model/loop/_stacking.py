@@ -32,13 +32,34 @@ def simple_models(rows: Residuals) -> dict[str, Term]:
     return {name: Term(form, form.fitted(rows)) for name, form in forms.items()}
 
 
-def best_shares(measured: FloatArray, said: Mapping[str, FloatArray], fold: IntArray) -> dict[str, float]:
+def stacked(rows: Residuals, said: Mapping[str, FloatArray], fold: IntArray) -> tuple[dict[str, float], FloatArray]:
+    """Return the best shares of predictions, (n,), and what each fold, (n,), is predicted with those of the others."""
+    out = np.empty(len(rows))
+    for k in np.unique(fold):
+        others = fold != k
+        found = best_shares(rows.take(others), {name: value[others] for name, value in said.items()}, fold[others])
+        out[~others] = mean_of(found, said)[~others]
+    return best_shares(rows, said, fold), out
+
+
+def best_shares(rows: Residuals, said: Mapping[str, FloatArray], fold: IntArray) -> dict[str, float]:
     """Return the shares under which the mean of predictions, (n,), errs least (least squares), none below
     `LEAST_SHARE`; the calibrated model alone where that errs more by no more than one standard error over folds, (n,).
+
+    What counts are metres and whole runs with their stops, the error of a run over the root of its metres: were the
+    errors of metres independent, both would say the same.
     """
-    names = list(PREDICTIONS)
+    pairs, together = np.unique(np.stack([fold, rows.run]), axis=1, return_inverse=True)
+    metres = np.bincount(together, weights=rows.moving)
+    share = np.where(metres > 0.0, 1.0 / np.sqrt(np.maximum(metres, 1.0)), 0.0)
+    part = np.unique(np.append(fold[rows.moving], pairs[0]), return_inverse=True)[1]
+
+    def _judged(energy: FloatArray) -> FloatArray:
+        return np.append(energy[rows.moving], share * np.bincount(together, weights=energy))
+
+    measured, names = _judged(rows.measured), list(PREDICTIONS)
     while True:
-        x = np.stack([said[name] for name in names], axis=1)
+        x = np.stack([_judged(said[name]) for name in names], axis=1)
         heavy = _HEAVY * float(np.linalg.norm(measured))
         found = nnls(np.vstack([x, np.full(len(names), heavy)]), np.append(measured, heavy))[0]
         small = found < LEAST_SHARE * found.sum()
@@ -46,20 +67,6 @@ def best_shares(measured: FloatArray, said: Mapping[str, FloatArray], fold: IntA
             break
         names = [name for name, little in zip(names, small, strict=True) if not little]
     shares = dict(zip(names, (found / found.sum()).tolist(), strict=True))
-    gains = (measured - said[CALIBRATED]) ** 2 - (measured - mean_of(shares, said)) ** 2
-    by_fold = np.bincount(np.unique(fold, return_inverse=True)[1], weights=gains).astype(np.float64)
+    gains = (measured - _judged(said[CALIBRATED])) ** 2 - (measured - x @ (found / found.sum())) ** 2
+    by_fold = np.bincount(part, weights=gains).astype(np.float64)
     return {CALIBRATED: 1.0} if by_fold.size < 2 or within_one_error(by_fold) else shares
-
-
-def stacked(
-    measured: FloatArray, said: Mapping[str, FloatArray], moving: NDArray[np.bool_], fold: IntArray
-) -> tuple[dict[str, float], FloatArray]:
-    """Return the best shares on rows that move, and each fold, (n,), predicted with the best shares on the others."""
-
-    def _shares(of: NDArray[np.bool_]) -> dict[str, float]:
-        return best_shares(measured[of], {name: said[name][of] for name in PREDICTIONS}, fold[of])
-
-    out = np.empty(len(measured))
-    for k in np.unique(fold):
-        out[fold == k] = mean_of(_shares(moving & (fold != k)), said)[fold == k]
-    return _shares(moving), out

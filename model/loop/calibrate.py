@@ -142,7 +142,7 @@ def calibrate(
                 held[key][own_fold == k] = energy
     shares, held["proposed"] = {CALIBRATED: 1.0}, held[CALIBRATED]
     if count:
-        shares, held["proposed"] = stacked(measured.measured, held, measured.moving, own_fold)
+        shares, held["proposed"] = stacked(measured, held, own_fold)
     levels = dict.fromkeys(("after", "proposed"), MeanLevel())
     for key in levels if count else ():  # sums of the runs that were fitted to agree
         levels[key], held[key] = _levelled(measured, held[key], own_fold)

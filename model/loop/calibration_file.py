@@ -13,7 +13,7 @@ from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms import form_from_dict
-from joulemap.model.loop.mixture import SIMPLE, Mixture
+from joulemap.model.loop.mixture import Mixture
 from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import Drives
 
@@ -107,7 +107,7 @@ def _read(values: Mapping[str, Any]) -> Correction:
 def _mixture(values: Mapping[str, Any]) -> Mixture | None:
     if values.get("alone"):  # of format 3: the terms of plans are a simple model
         (term,) = map(_term, values["planner_terms"])
-        name = next(name for name, columns in SIMPLE.items() if columns == term.form.coefficient_names())
+        name = "constant" if len(term.coefficients) == 1 else "least_squares"
         return Mixture({name: 1.0}, {name: term})
     if not (found := values.get("mixture")):
         return None

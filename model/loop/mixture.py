@@ -12,7 +12,10 @@ from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import Drives, Features, FloatArray
 
 CALIBRATED, BEFORE = "after_planner", "before"
-SIMPLE = {"least_squares": ("length", "climb", "turned", "time"), "constant": ("length",)}
+SIMPLE = {
+    "least_squares": ("length", "climb", "turned", "time", "drag", "speeding_up", "kinetic_energy"),
+    "constant": ("length",),
+}
 """Columns of simple models by name, each fitted to the same runs."""
 PREDICTIONS = (CALIBRATED, *SIMPLE, BEFORE)
 """What the mean is of."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,12 @@ _FAR_OFF = 100.0  # thousandfold are milliamperes, millivolts and milliseconds; 
 
 def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
     """Refuse runs that cannot have been driven on this heightmap by this robot."""
+    check_place(segments, heightmap)
+    check_units([(segments, robot)])
+
+
+def check_place(segments: Segments, heightmap: Heightmap) -> None:
+    """Refuse runs that hold no segment, or lie off this heightmap."""
     if len(segments) == 0:
         metres = segments.left_out_m
         rules = ", ".join(
@@ -42,9 +50,19 @@ def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
             f"{west:.2f}..{east:.2f}, y {south:.2f}..{north:.2f}; {hint}",
             bounds=list(frame.bounds),
         )
-    unit = robot.nominal_voltage_v if segments.charge else 1.0
-    took = unit * float(np.median(segments.energy_j / segments.driven_m))
-    usual = float(robot.price_per_m(np.array(robot.weight_n * robot.rolling_resistance)))
+
+
+def check_units(driven: Sequence[tuple[Segments, Robot]]) -> None:
+    """Refuse runs whose metres take a hundred times more or less than their robots need on level ground, in the median
+    of all runs: single runs may be circles on the spot.
+    """
+    every, levels = [], []
+    for segments, robot in driven:
+        unit = robot.nominal_voltage_v if segments.charge else 1.0
+        every.append(unit * segments.energy_j / segments.driven_m)
+        levels.append(float(robot.price_per_m(np.array(robot.weight_n * robot.rolling_resistance))))
+    took = float(np.median(np.concatenate(every)))
+    usual = float(np.repeat(levels, [len(part) for part in every]).mean())
     if usual > 0 and not usual / _FAR_OFF < took < usual * _FAR_OFF:
         raise RunsError(
             f"a metre took {took:,.1f} J, where this robot needs about {usual:,.1f} J on level ground: are `t` in s, "

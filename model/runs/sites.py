@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.consistency import check_place, check_units
 from joulemap.model.runs.cutting import Protocol
 from joulemap.model.runs.files import distinct_names, read_segments
 from joulemap.model.runs.odometry import Odometry
@@ -156,12 +156,13 @@ def read_sites(sites: Sequence[Site], *, charge: bool = False, protocol: Protoco
                 length_m=site.length_m,
             )
             segments = replace(segments, runs=tuple(mine))
-            check_runs(segments, site.heightmap, site.robot)
+            check_place(segments, site.heightmap)
         except RunsError as error:
             if len(sites) == 1:
                 raise
             raise RunsError(f"{error.message} (site {site.heightmap.source})", **error.context) from error
         runs += [replace(run, name=name) for run, name in zip(found, mine, strict=True)]
         parts.append(segments)
+    check_units([(part, site.robot) for part, site in zip(parts, sites, strict=True)])
     number = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     return SiteRuns(tuple(sites), tuple(runs), concatenate_segments(parts), number)

@@ -67,7 +67,7 @@ def error_words(document: Mapping[str, Any]) -> list[str]:
 
 _PLANS = {
     "after_planner": "the calibrated model",
-    "least_squares": "least squares of length, climb, turned angle and time",
+    "least_squares": "least squares of length, climb, turned angle, time, drag and kinetic energy",
     "constant": "a constant energy per metre",
     "before": "the model before",
 }

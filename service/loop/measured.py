@@ -15,6 +15,7 @@ from joulemap.model.energy.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import CalibrationRuns, SiteSegments
+from joulemap.model.runs.consistency import check_units
 from joulemap.model.runs.residuals import LEAST_SEGMENTS, Residuals, joined
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
@@ -88,6 +89,7 @@ def _joined(parts: Sequence[_Part]) -> Residuals:
 
 def _each(predictor: Predictor, robot: Robot, driven: _Driven, *, least: int = LEAST_SEGMENTS) -> list[_Part]:
     """Residuals of each site; `least` segments are asked of all sites together."""
+    check_units([(segments, robot) for _, segments in driven if len(segments)])
     if len(driven) == 1:
         return [residuals_on(predictor, driven[0][0], robot, driven[0][1], least=least)]
     parts = []

@@ -70,7 +70,9 @@ def test_the_price_of_a_metre_uphill_is_base_and_effect(name):
     assert price(calibrated(logged=[term])) == pytest.approx(BASE, rel=1e-5)  # what plans do not contain
 
 
-SIMPLE = Term(SimpleCosts(), (30.0, 400.0, 70.0, 6.0))  # J/m, J per metre of climb, J/rad, W
+SIMPLE = Term(
+    SimpleCosts(("length", "climb", "turned", "time")), (30.0, 400.0, 70.0, 6.0)
+)  # J/m, J per metre of climb, J/rad, W
 
 
 SIMPLE_PRICE = 30.0 + 400.0 * 0.05 + 6.0 / 0.5
@@ -229,7 +231,7 @@ def test_a_calibration_of_an_older_version_must_be_made_again(tmp_path):
     save_calibrated(tmp_path, WHOLE, {"name": "physics", "version": "1"})
     file = tmp_path / "calibration.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"format": 1}))
-    with pytest.raises(ModelError, match="has format 1, and this version of joulemap reads formats 3 and 4: calibrate again"):
+    with pytest.raises(ModelError, match="has format 1, and this version of joulemap reads formats 3 and 4: calibrate"):
         read_calibrated(tmp_path)
 
 

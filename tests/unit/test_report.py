@@ -232,7 +232,10 @@ def test_a_model_that_is_not_confirmed_is_not_to_be_used(turning, state, said):
             {"after_planner": 1.0},
             "Plans use the calibrated model, and no weighted mean with the others errs surely less: ",
         ),
-        ({"least_squares": 1.0}, "Plans use least squares of length, climb, turned angle and time, and no "),
+        (
+            {"least_squares": 1.0},
+            "Plans use least squares of length, climb, turned angle, time, drag and kinetic energy, and no ",
+        ),
         (
             {"before": 0.3, "after_planner": 0.7},
             "Plans use a weighted mean, 70 % the calibrated model and 30 % the model before: ",

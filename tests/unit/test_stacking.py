@@ -11,45 +11,56 @@ from joulemap.model.loop.mixture import PREDICTIONS, mean_of
 from joulemap.service.loop.calibration import correction_of
 from tests.loop.calibrator import segments_of
 from tests.loop.sums import case_of
+from tests.reference.drives import made_up, measured_on
 
-FOLD = np.repeat(np.arange(8), 50)
+RNG = np.random.default_rng(3)
+ROWS = made_up(RNG)
+FOLD = ROWS.run
 
 
 def drawn(**errors):
-    """Measured energies, and predictions that err by some share of one disturbance; all others are of no use."""
-    rng = np.random.default_rng(3)
-    truth, common = rng.uniform(50.0, 150.0, FOLD.size), rng.normal(0.0, 20.0, FOLD.size)
-    said = {name: np.full(FOLD.size, 400.0) for name in PREDICTIONS}
-    said |= {name: truth + share * common + rng.normal(0.0, 1.0, FOLD.size) for name, share in errors.items()}
-    return truth, said
+    """Runs, and predictions that err by some share of one disturbance; all others are of no use."""
+    rows = measured_on(ROWS, RNG.uniform(50.0, 150.0, len(ROWS)))
+    common = RNG.normal(0.0, 20.0, len(rows))
+    said = {name: np.full(len(rows), 400.0) for name in PREDICTIONS}
+    said |= {name: rows.measured + share * common + RNG.normal(0.0, 1.0, len(rows)) for name, share in errors.items()}
+    return rows, said
 
 
 def test_errors_to_both_sides_cancel():
-    truth, said = drawn(after_planner=1.0, least_squares=-1.0)
-    shares = best_shares(truth, said, FOLD)
+    rows, said = drawn(after_planner=1.0, least_squares=-1.0)
+    shares = best_shares(rows, said, FOLD)
     assert shares == {"after_planner": pytest.approx(0.5, abs=0.02), "least_squares": pytest.approx(0.5, abs=0.02)}
     assert sum(shares.values()) == pytest.approx(1.0)
-    assert np.std(mean_of(shares, said) - truth) < 0.1 * np.std(said["after_planner"] - truth)
+    assert np.std(mean_of(shares, said) - rows.measured) < 0.1 * np.std(said["after_planner"] - rows.measured)
 
 
 def test_a_model_that_is_right_is_taken_alone():
-    truth, said = drawn(after_planner=0.1, least_squares=0.5, before=1.0)
-    assert best_shares(truth, said, FOLD) == {"after_planner": 1.0}
+    rows, said = drawn(after_planner=0.1, least_squares=0.5, before=1.0)
+    assert best_shares(rows, said, FOLD) == {"after_planner": 1.0}
 
 
 def test_a_gain_that_hangs_on_one_fold_is_none():
-    truth, said = drawn(after_planner=0.0, least_squares=0.2)
+    rows, said = drawn(after_planner=0.0, least_squares=0.2)
     said["after_planner"][0] += 200.0
-    assert best_shares(truth, said, FOLD) == {"after_planner": 1.0}
+    assert best_shares(rows, said, FOLD) == {"after_planner": 1.0}
+
+
+def test_errors_that_add_up_over_a_run_count_more_than_those_that_do_not():
+    """4 J in every metre, all to one side in a run, beside 4 J that are independent."""
+    rows, said = drawn(after_planner=0.0, least_squares=0.2)
+    said["after_planner"] += np.resize([3.0, -3.0], int(FOLD.max()) + 1)[
+        FOLD
+    ]  # half of the other's error in each metre
+    assert best_shares(rows, said, FOLD).get("least_squares", 0.0) > 0.5
 
 
 def test_a_fold_has_no_part_in_its_own_shares():
-    truth, said = drawn(after_planner=1.0, least_squares=-1.0)
-    said["least_squares"][FOLD == 2] += 1e6
-    moving = np.ones(FOLD.size, dtype=bool)
+    rows, said = drawn(after_planner=1.0, least_squares=-1.0)
     mine = FOLD == 2
-    without = best_shares(truth[~mine], {name: value[~mine] for name, value in said.items()}, FOLD[~mine])
-    np.testing.assert_allclose(stacked(truth, said, moving, FOLD)[1][mine], mean_of(without, said)[mine])
+    said["least_squares"][mine] += 1e6
+    without = best_shares(rows.take(~mine), {name: value[~mine] for name, value in said.items()}, FOLD[~mine])
+    np.testing.assert_allclose(stacked(rows, said, FOLD)[1][mine], mean_of(without, said)[mine])
 
 
 def test_plans_have_the_price_that_was_judged():

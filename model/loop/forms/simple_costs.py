@@ -1,4 +1,4 @@
-"""Costs of length, climb, turned angle and time: least squares, with which a calibration competes."""
+"""Costs of length, climb, turned angle, time, drag and kinetic energy: a calibration's simplest rival."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ _COLUMNS: dict[str, tuple[str, float, Callable[[Features], FloatArray]]] = {
     "climb": ("{E}/m", 0.0, lambda rows: rows.grade * rows.length_m),
     "turned": ("{E}/rad", 0.0, lambda rows: rows.turned_abs_rad),
     "time": ("{P}", -np.inf, lambda rows: np.where(rows.standing, rows.duration_s, rows.length_m / rows.speed_mps)),
+    "drag": ("{E} s2/m3", -np.inf, lambda rows: rows.speed_mps**2 * rows.length_m),
+    "speeding_up": ("{E} s2/m2", -np.inf, lambda rows: rows.gained_m2ps2),
+    "kinetic_energy": ("{E} s2/m2", -np.inf, lambda rows: rows.kinetic_m2ps2),
 }
 """Unit, lower limit, and values by name."""
 
@@ -28,10 +31,10 @@ class SimpleCosts(Form):
     names: tuple[str, ...] = tuple(_COLUMNS)
 
     key = "simple_costs"
-    label = "costs of length, climb, turned angle and time"
+    label = "costs of length, climb, turned angle, time, drag and kinetic energy"
     meaning = "cost of each"
     unit = ""
-    reveals = "climbs, curves and several speeds"
+    reveals = "climbs, curves, and several speeds"
 
     def coefficient_names(self) -> tuple[str, ...]:
         return self.names
