@@ -9,7 +9,7 @@ import pytest
 from joulemap.model.errors import RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
-from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.consistency import check_runs, check_units
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.fixes import projected
 from joulemap.model.runs.reader import parse_run
@@ -61,6 +61,16 @@ def test_runs_that_belong_to_map_and_robot_pass():
 def test_what_is_wrong_is_named_with_value_and_limit(change, words):
     with pytest.raises(RunsError, match=words):
         check_runs(driven(change), MAP, ROBOT)
+
+
+def test_one_run_of_many_may_be_circles_on_the_spot():
+    """Whose metres take two hundred times as much: it is refused alone, and not beside runs that are as they should."""
+    circles = driven(times("current", 200.0))
+    with pytest.raises(RunsError, match="a metre took"):
+        check_runs(circles, MAP, ROBOT)
+    check_units([(driven(), ROBOT), (circles, ROBOT), (driven(), ROBOT)])
+    with pytest.raises(RunsError, match="a metre took"):
+        check_units([(driven(), ROBOT), (circles, ROBOT), (circles, ROBOT)])
 
 
 def test_degrees_exchanged_on_a_map_of_a_whole_world_crs_are_seen_too():
