@@ -13,6 +13,10 @@ from typing import TypeVar
 
 import numba
 
+from joulemap.model.compiling import say_when_compiling
+
+say_when_compiling()
+
 Part = TypeVar("Part")
 Result = TypeVar("Result")
 First = TypeVar("First")
