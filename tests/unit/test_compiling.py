@@ -12,8 +12,8 @@ def test_long_compilations_are_said_once(each_s, kernels, lines, monkeypatch, ca
     monkeypatch.setattr(compiling.time, "perf_counter", lambda: next(seconds))
     notice = compiling._Notice()
     for _ in range(kernels):
-        notice.on_start(event.Event("numba:compile"))
-        notice.on_end(event.Event("numba:compile"))
+        notice.on_start(event.Event("numba:compile", event.EventStatus.START))
+        notice.on_end(event.Event("numba:compile", event.EventStatus.END))
     said = capsys.readouterr().err
     assert said.count("compiling kernels for this machine") == lines
 
