@@ -23,7 +23,6 @@ from joulemap.service.commands import (
     maps,
     models,
     reach,
-    reproduction,
     services,
     simulation,
     speeds,
@@ -108,8 +107,6 @@ for _panel, _commands in (
             distillation.distill,
             calibration.calibrate,
             calibration.suggest_drive,
-            reproduction.baselines,
-            reproduction.reproduce,
         ),
     ),
 ):

@@ -22,7 +22,6 @@ GOOD, MISSING, WRONG = "good", "missing", "wrong"
 _STYLES = {GOOD: "green", MISSING: "yellow", WRONG: "bold red"}
 _FOR = {
     "tours": "joulemap tour",
-    "reproduce": "joulemap reproduce",
     "parquet": "runs in Parquet",
     "geo": "routes as GeoDataFrame",
     "objects": "JOULEMAP_STORE, an object store",

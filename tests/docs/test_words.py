@@ -59,7 +59,7 @@ def test_pages(page: str) -> None:
     "page",
     [
         "model/weights/MODEL_CARD.md",
-        "model/REPRODUCTION.md",
+        "tests/paper/REPRODUCTION.md",
         *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "model/loop").glob("*.md")),
     ],
 )

@@ -68,7 +68,7 @@ def options_of(name: str) -> set[str]:
 
 def test_every_command_that_reads_a_heightmap_can_be_given_what_the_file_does_not_say() -> None:
     readers = {name for name in COMMANDS if "--heightmap" in options_of(name)} | {"costmap"}
-    assert readers >= {"train", "evaluate", "baselines", "distill", "calibrate", "suggest-drive", "demo"}
+    assert readers >= {"train", "evaluate", "distill", "calibrate", "suggest-drive", "demo"}
     assert {name: READING - options_of(name) for name in readers} == {name: set() for name in readers}
 
 
@@ -82,12 +82,11 @@ def test_a_bare_array_is_read_as_the_options_say(field: Path) -> None:
     assert json.loads(words)["mean_relative_error"] == pytest.approx(placed["mean_relative_error"], rel=1e-3)
 
 
-@pytest.mark.parametrize("command", ["evaluate", "train", "calibrate", "suggest-drive", "baselines", "distill"])
+@pytest.mark.parametrize("command", ["evaluate", "train", "calibrate", "suggest-drive", "distill"])
 def test_a_message_names_the_option_of_the_command(command: str, field: Path, tmp_path: Path) -> None:
     more: dict[str, tuple[object, ...]] = {
         "train": ("--out", tmp_path / "out"),
         "calibrate": ("--out", tmp_path / "out"),
-        "baselines": ("--test-runs", field / "run_01.csv"),
         "distill": ("--out", tmp_path / "out", "--teacher", field),
     }
     asked = (command, "--heightmap", field / "bare.npy", "--runs", field, *more.get(command, ()))

@@ -48,11 +48,3 @@ def test_a_model_is_trained_and_taught_on_a_worker(field: tuple[Path, list[Path]
     student = distil_on_runs(waves(), ROBOT, runs, out=folder / "student", **options)
     taught = read_artifact(folder / "fast")
     assert taught.training["held_out_runs"] == student.held_out_runs
-
-
-@pytest.mark.slow
-def test_a_reproduction_runs_on_a_worker(tmp_path: Path) -> None:
-    quick = ("--profile", "quick", "--seeds", "1", "--workers", "1", "--only", "baselines")
-    said = there(tmp_path, "reproduce", "--out", "reproduction", *quick)
-    assert "baselines" in said
-    assert list((tmp_path / "reproduction" / "results").glob("baselines_*.json"))

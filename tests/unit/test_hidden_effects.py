@@ -29,12 +29,12 @@ from joulemap.model.field.logger import Logger, log_trace, simulate_run
 from joulemap.model.field.robots import FieldRobot, Ground
 from joulemap.model.field.simulation import simulate_trace, with_halts
 from joulemap.model.field.sites import Site
-from joulemap.model.field.validation_case import make_validation_case
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.reader import read_run
 from joulemap.model.terrain.heightmap import Heightmap
+from tests.reference.validation_case import make_validation_case
 
 G = 9.80665
 BARE = Ground("bare", 0.2, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)

@@ -11,12 +11,12 @@ from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from joulemap.model.reproduction.fieldwork import SITE_OF, SITES, read_site_heightmap
-from joulemap.model.reproduction.profiles import FIRST_SEED
-from joulemap.model.reproduction.summary import PAPER, Summary
-from joulemap.model.reproduction.test_sets import Setting
 from joulemap.model.robot import Robot
 from joulemap.model.runs.reader import read_run
+from tests.paper.fieldwork import SITE_OF, SITES, read_site_heightmap
+from tests.paper.profiles import FIRST_SEED
+from tests.paper.setting import Setting
+from tests.paper.summary import PAPER, Summary
 
 FloatArray = NDArray[np.float64]
 

@@ -17,8 +17,6 @@ from joulemap.model.field.logger import Logger, log_trace
 from joulemap.model.field.robot_dynamics import FieldRobot
 from joulemap.model.field.simulation import Trace, simulate_segments, simulate_trace
 from joulemap.model.field.sites import GROUNDS, Site, named_site
-from joulemap.model.reproduction.measured import Measured
-from joulemap.model.reproduction.profiles import Profile
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.reader import read_run
@@ -28,6 +26,8 @@ from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.surface_fit import fit_surface
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on
+from tests.paper.measured import Measured
+from tests.paper.profiles import Profile
 
 FloatArray = NDArray[np.float64]
 

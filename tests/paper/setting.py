@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.reproduction.fieldwork import HEIGHTMAPS, read_measured
-from joulemap.model.reproduction.measured import Measured, judged
-from joulemap.model.reproduction.profiles import Profile
 from joulemap.model.robot import Robot
+from tests.paper.fieldwork import HEIGHTMAPS, read_measured
+from tests.paper.measured import Measured, judged
+from tests.paper.profiles import Profile
 
 FloatArray = NDArray[np.float64]
 

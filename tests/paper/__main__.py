@@ -1,18 +1,16 @@
-"""`joulemap reproduce` and `baselines`: the paper's experiments on simulated sites, and simple methods on any runs."""
+"""`python -m tests.paper`: the paper's experiments on simulated sites, and simple methods on any runs."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from enum import StrEnum
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from joulemap.model.errors import InputError
-from joulemap.service.commands.cluster import AsOneTask
-from joulemap.service.commands.console import JsonFile, Output, progress_bar
+from joulemap.service.commands.arguments import Command
+from joulemap.service.commands.console import JsonFile, Output, PlainErrors, progress_bar
 from joulemap.service.commands.options import (
     HeightmapFile,
     Reading,
@@ -24,6 +22,18 @@ from joulemap.service.commands.options import (
     there,
 )
 from joulemap.service.words import runs_words
+
+app = typer.Typer(
+    name="python -m tests.paper",
+    cls=PlainErrors,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Section V of the paper (Wei & Isler 2022) on simulated sites, and its simple methods on your own runs.",
+    epilog="To see in minutes that it runs: `python -m tests.paper reproduce --out paper --profile quick --seeds 1`.",
+)
 
 
 class ProfileName(StrEnum):
@@ -41,6 +51,7 @@ class HeightmapFrom(StrEnum):
     DRIVEN = "driven"
 
 
+@app.command(cls=Command)
 def reproduce(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for everything; an interrupted run is continued there.")
@@ -70,7 +81,6 @@ def reproduce(
         list[str] | None, typer.Option("--only", metavar="NAME...", help="Only these kinds of experiments.")
     ] = None,
     workers: Annotated[int, typer.Option(min=1, max=64, metavar="N", help="Processes side by side, a core each.")] = 2,
-    scheduler: AsOneTask = None,
     json_file: JsonFile = None,
 ) -> None:
     """Reproduce the **paper's section V** on simulated sites: both networks, every training strategy, all baselines.
@@ -78,13 +88,12 @@ def reproduce(
     Writes `REPRODUCTION.md`, `results.json` and figures into the folder. Experiments that are in it already are not
     run again.
 
-    Example: `joulemap reproduce --out reproduction`
+    Example: `python -m tests.paper reproduce --out reproduction`
     """
-    _need_scikit_learn()
-    from joulemap.model.reproduction.profiles import PROFILES
-    from joulemap.model.reproduction.report import publish
-    from joulemap.model.reproduction.runner import run_all
-    from joulemap.model.reproduction.test_sets import Setting
+    from tests.paper.profiles import PROFILES
+    from tests.paper.report import publish
+    from tests.paper.runner import run_all
+    from tests.paper.setting import Setting
 
     output = Output(json_file)
     extent = PROFILES["full" if full else profile.value]
@@ -103,6 +112,7 @@ def reproduce(
     output.document(document)
 
 
+@app.command(cls=Command)
 @reads_heightmap
 def baselines(
     heightmap: HeightmapFile,
@@ -129,12 +139,11 @@ def baselines(
 
     A trained model has to predict better than these. Runs that are in both `--runs` and `--test-runs` are only tested.
 
-    Example: `joulemap baselines --heightmap dem.tif --runs logs/*.csv --test-runs logs/run_06.csv --model mine`
+    Example: `python -m tests.paper baselines --heightmap dem.tif --runs logs/*.csv --test-runs logs/run_06.csv`
     """
-    _need_scikit_learn()
-    from joulemap.model.reproduction.comparison import compare
     from joulemap.model.terrain.readers import read_heightmap
     from joulemap.service.models import find_predictor
+    from tests.paper.comparison import compare
 
     output = Output(json_file)
     rover = robot_of(robot)
@@ -160,11 +169,6 @@ def baselines(
     output.document({"learned": [str(f) for f in learned], "tested": [str(f) for f in tested], "methods": found})
 
 
-def _need_scikit_learn() -> None:
-    if find_spec("sklearn") is None:
-        raise InputError("the Gaussian process baseline needs scikit-learn: pip install 'joulemap[reproduce]'")
-
-
 def _command(
     out: Path,
     profile: str,
@@ -174,7 +178,7 @@ def _command(
     only: list[str] | None,
 ) -> str:
     """The command line again, for the document."""
-    words = ["joulemap reproduce --out", str(out)]
+    words = ["python -m tests.paper reproduce --out", str(out)]
     words += ["--profile", profile] if profile != ProfileName.DEFAULT else []
     words += ["--seeds", str(seeds)] if seeds is not None else []
     words += ["--backbone", str(backbone)] if backbone is not None else []
@@ -182,3 +186,7 @@ def _command(
     for name in only or ():
         words += ["--only", name]
     return " ".join(words)
+
+
+if __name__ == "__main__":
+    app()

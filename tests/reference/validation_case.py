@@ -24,13 +24,13 @@ from joulemap.model.field.drives import Drive
 from joulemap.model.field.effects import Effect
 from joulemap.model.field.hidden_draws import WORDS, conditions_for, day_for, draw_effect
 from joulemap.model.field.logger import Logger, log_trace
-from joulemap.model.field.patterns import PATTERNS, drive_of
 from joulemap.model.field.robots import FieldRobot
 from joulemap.model.field.simulation import Trace, segment_gains, simulate_trace, take_ride, with_halts
 from joulemap.model.field.sites import SURVEYS, TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.synthesis import TerrainRecipe
 from joulemap.model.terrain.writers import write_geotiff
+from tests.reference.drive_patterns import PATTERNS, drive_of
 
 FloatArray = NDArray[np.float64]
 

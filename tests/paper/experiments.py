@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.predictor import Predictor, load_predictor
-from joulemap.model.reproduction import networks
-from joulemap.model.reproduction.baselines import friction_map, global_friction, local_friction, shape_ridge
-from joulemap.model.reproduction.fieldwork import make_field, more_examples
-from joulemap.model.reproduction.measured import Measured
-from joulemap.model.reproduction.profiles import STRATEGIES, Profile
-from joulemap.model.reproduction.test_sets import ROWS, Field, Scores, Setting
 from joulemap.model.runs.segments import concatenate_segments
+from tests.paper import networks
+from tests.paper.baselines import friction_map, global_friction, local_friction, shape_ridge
+from tests.paper.fieldwork import make_field, more_examples
+from tests.paper.measured import Measured
+from tests.paper.profiles import STRATEGIES, Profile
+from tests.paper.setting import ROWS, Field, Scores, Setting
 
 FloatArray = NDArray[np.float64]
 

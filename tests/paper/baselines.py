@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.energy.friction_map import FrictionMap
 from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.physics import (
     eq5_traction_per_m,
@@ -15,8 +14,9 @@ from joulemap.model.energy.physics import (
     local_rolling_resistance,
 )
 from joulemap.model.energy.shape_regression import RidgeBaseline
-from joulemap.model.reproduction.measured import Measured
 from joulemap.model.robot import Robot
+from tests.paper.friction_map import FrictionMap
+from tests.paper.measured import Measured
 
 FloatArray = NDArray[np.float64]
 Prediction = Callable[[Measured], FloatArray]

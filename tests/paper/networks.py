@@ -21,12 +21,12 @@ from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.robot_dynamics import FieldRobot
 from joulemap.model.field.simulation import simulate_segments
 from joulemap.model.field.sites import SURVEYS, random_site
-from joulemap.model.reproduction.measured import Measured
-from joulemap.model.reproduction.profiles import STRATEGIES, Profile
 from joulemap.model.robot import Robot
 from joulemap.model.training.fold_fits import CHECKPOINT
 from joulemap.model.training.measured_runs import train_on_runs
 from joulemap.model.training.optimisation import TrainingOptions, train_network
+from tests.paper.measured import Measured
+from tests.paper.profiles import STRATEGIES, Profile
 
 FloatArray = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from joulemap.model.energy.friction_map import FrictionMap
 from joulemap.model.errors import InputError
+from tests.paper.friction_map import FrictionMap
 
 WEIGHT_N = 350.0
 

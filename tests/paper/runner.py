@@ -18,10 +18,10 @@ import torch
 from threadpoolctl import threadpool_limits
 
 from joulemap.model.errors import InputError
-from joulemap.model.reproduction import networks
-from joulemap.model.reproduction.experiments import EXPERIMENTS, field_of
-from joulemap.model.reproduction.profiles import FIRST_SEED, STRATEGIES
-from joulemap.model.reproduction.test_sets import Setting
+from tests.paper import networks
+from tests.paper.experiments import EXPERIMENTS, field_of
+from tests.paper.profiles import FIRST_SEED, STRATEGIES
+from tests.paper.setting import Setting
 
 SETTING_FILE = "setting.json"
 WORKERS = 2

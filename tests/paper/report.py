@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from joulemap.model.reproduction.figures import draw_all
-from joulemap.model.reproduction.profiles import FIRST_SEED, STRATEGIES
-from joulemap.model.reproduction.runner import read_results, read_setting
-from joulemap.model.reproduction.summary import METHODS, PAPER, PAPER_PHYSICS, PAPER_STRATEGY, Summary, checks
-from joulemap.model.reproduction.test_sets import Setting
+from tests.paper.figures import draw_all
+from tests.paper.profiles import FIRST_SEED, STRATEGIES
+from tests.paper.runner import read_results, read_setting
+from tests.paper.setting import Setting
+from tests.paper.summary import METHODS, PAPER, PAPER_PHYSICS, PAPER_STRATEGY, Summary, checks
 
 _TITLES = {
     "physics": "physics",

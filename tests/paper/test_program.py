@@ -1,4 +1,4 @@
-"""`joulemap reproduce` from the first drive to the table, as small as it gets, and `joulemap baselines` on its runs."""
+"""`python -m tests.paper`: `reproduce` from the first drive to the table, and `baselines` on its runs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from joulemap.model.reproduction.fieldwork import read_measured
-from joulemap.model.reproduction.profiles import FIRST_SEED, PROFILES
-from joulemap.model.reproduction.test_sets import Setting
 from joulemap.model.robot import Robot
-from joulemap.service.cli import app
+from tests.paper.__main__ import app
+from tests.paper.fieldwork import read_measured
+from tests.paper.profiles import FIRST_SEED, PROFILES
+from tests.paper.setting import Setting
 
 QUICK = ["--profile", "quick", "--seeds", "1", "--workers", "1"]
 

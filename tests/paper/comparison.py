@@ -1,4 +1,4 @@
-"""The baselines and any models on a user's own measured runs: the work of `joulemap baselines`."""
+"""The baselines and any models on a user's own measured runs: the work of `python -m tests.paper baselines`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from joulemap.model.energy.predictor import Predictor
-from joulemap.model.reproduction import baselines, networks
-from joulemap.model.reproduction.measured import Measured, judged
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_segments
 from joulemap.model.terrain.heightmap import Heightmap
+from tests.paper import baselines, networks
+from tests.paper.measured import Measured, judged
 
 _FITTED = {
     "fitted friction": baselines.global_friction,

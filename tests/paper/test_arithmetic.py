@@ -10,14 +10,14 @@ import pytest
 
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
-from joulemap.model.reproduction.experiments import EXPERIMENTS
-from joulemap.model.reproduction.fieldwork import roughness_m3
-from joulemap.model.reproduction.profiles import PROFILES
-from joulemap.model.reproduction.report import _missed
-from joulemap.model.reproduction.runner import plan
-from joulemap.model.reproduction.summary import Interval, Summary, checks
-from joulemap.model.reproduction.test_sets import Setting
 from joulemap.model.terrain.heightmap import Heightmap
+from tests.paper.experiments import EXPERIMENTS
+from tests.paper.fieldwork import roughness_m3
+from tests.paper.profiles import PROFILES
+from tests.paper.report import _missed
+from tests.paper.runner import plan
+from tests.paper.setting import Setting
+from tests.paper.summary import Interval, Summary, checks
 
 
 def test_an_interval_is_students() -> None:
