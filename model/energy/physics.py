@@ -48,40 +48,6 @@ def eq5_traction_per_m(weight_n: ArrayLike, rolling_resistance: ArrayLike, tan_g
     return np.asarray(weight_n, dtype=np.float64) * (np.asarray(rolling_resistance, dtype=np.float64) + grade)
 
 
-def eq5_energy_j(
-    weight_n: ArrayLike, rolling_resistance: ArrayLike, pitch_rad: ArrayLike, driven_m: ArrayLike
-) -> FloatArray:
-    """Return the energy of driving along the surface, as the paper prints it. Shapes broadcast.
-
-    Parameters
-    ----------
-    weight_n : array_like
-        m g [N].
-    rolling_resistance : array_like
-        mu, dimensionless.
-    pitch_rad : array_like
-        theta [rad], positive uphill.
-    driven_m : array_like
-        Distance d along the surface [m].
-
-    Returns
-    -------
-    ndarray of float64
-        Energy [J]; negative where the ground pushes the robot.
-
-    Notes
-    -----
-    (mu m g cos theta + m g sin theta) d.
-
-    References
-    ----------
-    Wei & Isler 2022, eq. 5.
-    """
-    pitch = np.asarray(pitch_rad, dtype=np.float64)
-    mu = np.asarray(rolling_resistance, dtype=np.float64)
-    return np.asarray(weight_n, dtype=np.float64) * (mu * np.cos(pitch) + np.sin(pitch)) * np.asarray(driven_m)
-
-
 def fit_rolling_resistance(traction_per_m: ArrayLike, tan_grade: ArrayLike, *, weight_n: float) -> float:
     """Fit one mu to measured segments by least squares: the paper's global friction.
 
@@ -123,46 +89,6 @@ def fit_rolling_resistance(traction_per_m: ArrayLike, tan_grade: ArrayLike, *, w
     if not known.any():
         raise InputError("rolling resistance cannot be fitted: there is no segment with a known energy and grade")
     return float(traction[known].mean() / weight_n - grade[known].mean())
-
-
-def local_rolling_resistance(
-    traction_per_m: ArrayLike, tan_grade: ArrayLike, *, weight_n: float, segments: int = 5
-) -> FloatArray:
-    """Fit mu for every block of a run to the block before it: the paper's second baseline.
-
-    Parameters
-    ----------
-    traction_per_m, tan_grade : array_like, (n,)
-        As `fit_rolling_resistance`, in driving order.
-    weight_n : float
-        m g [N].
-    segments : int, optional
-        Length of a block: five metres of driving give mu for the next five.
-
-    Returns
-    -------
-    ndarray of float64, (n,)
-        mu of every segment; NaN in the first block.
-
-    Raises
-    ------
-    InputError
-        If a block has no segment.
-
-    References
-    ----------
-    Wei & Isler 2022, section V-D, Fig. 8 right.
-    """
-    traction = np.asarray(traction_per_m, dtype=np.float64).ravel()
-    grade = np.asarray(tan_grade, dtype=np.float64).ravel()
-    if segments < 1:
-        raise InputError(f"a block needs at least one segment, got {segments}", segments=segments)
-    out = np.full(traction.size, np.nan)
-    for start in range(segments, traction.size, segments):
-        before = slice(start - segments, start)
-        if (np.isfinite(traction[before]) & np.isfinite(grade[before])).any():
-            out[start : start + segments] = fit_rolling_resistance(traction[before], grade[before], weight_n=weight_n)
-    return out
 
 
 class PhysicsPredictor:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.cutting import CARRIED, Protocol, cut_segments
+from joulemap.model.runs.cutting import CARRIED, cut_segments
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.files import read_alike
 from joulemap.model.runs.odometry import read_odometry
@@ -78,16 +78,14 @@ class CalibrationRuns:
         return sum(len(part.runs) for site in self.sites for part in (site.new, site.test) if part is not None)
 
 
-def read_calibration_runs(
-    sites: Sequence[Site], *, protocol: Protocol = "track", currents: Currents = "auto"
-) -> CalibrationRuns:
+def read_calibration_runs(sites: Sequence[Site], *, currents: Currents = "auto") -> CalibrationRuns:
     """Read the runs of all sites. No two different files have the same name."""
     learned = files_of(sites)
     robot = robot_of_all(sites)
     groups = [some for site in sites for some in (site.files, site.baseline_files, site.test_files)]
     readers = [_reader(site) for site in sites for _ in (*site.files, *site.baseline_files, *site.test_files)]
     runs = _read(learned, groups, readers, currents)
-    parts = iter(_cut(runs, [_cutter(site, protocol) for site in sites for _ in range(3)]))
+    parts = iter(_cut(runs, [_cutter(site) for site in sites for _ in range(3)]))
     read = tuple(SiteSegments(site.ground, *islice(parts, 3)) for site in sites)
     return CalibrationRuns(read, robot, *_counts(runs), placed=all(site.placed for site in sites))
 
@@ -99,13 +97,11 @@ def _reader(site: Site) -> Callable[[Path, str, Currents], Run]:
     return lambda file, name, currents: read_run(file, name=name, crs=site.heightmap.frame.crs, currents=currents)
 
 
-def _cutter(site: Site, protocol: Protocol) -> Callable[[Run, bool], Segments]:
+def _cutter(site: Site) -> Callable[[Run, bool], Segments]:
     if site.odometry is not None:
         return lambda run, charge: cut_travel(run, charge=charge)
     fastest = CARRIED * site.robot.speed_mps
-    return lambda run, charge: cut_segments(
-        run, length_m=site.length_m, charge=charge, protocol=protocol, max_speed_mps=fastest
-    )
+    return lambda run, charge: cut_segments(run, length_m=site.length_m, charge=charge, max_speed_mps=fastest)
 
 
 def _read(

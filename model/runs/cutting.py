@@ -1,12 +1,8 @@
-"""Cut runs into segments, along the track or as the paper does.
+"""Cut runs into segments along the track.
 
-"track" is what calibration, training and evaluation use: every piece of track between gaps is cut into parts of equal
-arc length, about 1 m each (`joulemap.model.runs.arcs`). All that the robot drives is in them: curves, slow metres,
-turns on the spot, starts and short stops, and metres on which it feeds energy back. A stop of 2 s or more is in no
-segment.
-
-"chords" is the protocol of the paper: p and q exactly 1 m apart in the horizontal plane, and what such a chord cannot
-describe is left out.
+Every piece of track between gaps is cut into parts of equal arc length, about 1 m each (`joulemap.model.runs.arcs`).
+All that the robot drives is in them: curves, slow metres, turns on the spot, starts and short stops, and metres on
+which it feeds energy back. A stop of 2 s or more is in no segment.
 
 What is left out is counted in `Segments.left_out`, and its metres of track are in `Segments.left_out_m`:
 
@@ -14,16 +10,12 @@ gaps : where positions or rows are missing, with the straight distance across. s
 remainders : pieces, or ends of pieces, too short for a segment. fast : segments faster than the robot can drive.
 undriven : the other segments of runs in which the robot was carried: most metres are too fast, or its wheels did not
 roll. What the robot draws does not decide.
-Of chords only: bent, whose track is much longer than their straight length; slow, which took much longer than usual in
-their run; not_positive, whose measured energy is not above zero.
-
-Reference: Wei & Isler 2022, section V.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,29 +23,18 @@ from numpy.typing import NDArray
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import heading_of, wrap_angle
 from joulemap.model.runs.arcs import (
-    STILL_M,
-    STOP_S,
     arc_track,
     equal_parts,
     on_rows,
-    position_noise,
     segment_length,
     station_at,
     stops_of,
 )
-from joulemap.model.runs.headings import Velocity, headings
+from joulemap.model.runs.headings import headings
 from joulemap.model.runs.reader import Run
 from joulemap.model.runs.segments import Segments
-from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
 from joulemap.model.runs.table import add_count
-from joulemap.model.runs.track import (
-    cut_chords,
-    integral,
-    pieces_of,
-    stationary_intervals,
-    track_speeds,
-    turns_between,
-)
+from joulemap.model.runs.track import integral, track_speeds, turns_between
 
 FloatArray = NDArray[np.float64]
 
@@ -65,38 +46,21 @@ _CARRIED_SHARE = 0.5  # of the metres of a run: most of it
 ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})
 """Logged columns that are directions [deg]: 359 is beside 0."""
 
-# What makes a chord; settings that the paper does not state.
-_LONGEST_GAP_S = 0.75  # or two and a half of the run's usual intervals between fixes
-_STATIONARY_S = 1.0
-_BENT = 1.2  # a track longer than so many lengths
-_SLOW = 3.0  # a duration longer than so many of the usual ones
-
-Protocol = Literal["track", "chords"]
-"""How a run is cut into segments."""
-
 
 def cut_segments(
     run: Run,
     *,
     length_m: float | None = None,
     charge: bool = False,
-    protocol: Protocol = "track",
     max_speed_mps: float = math.inf,
 ) -> Segments:
     """Cut a run into segments. `charge`: integrate the current alone [A s], for logs without a voltage."""
     if length_m is not None and not (math.isfinite(length_m) and length_m > 0):
         raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=str(length_m))
-    if protocol not in get_args(Protocol):
-        raise InputError(f"segments are cut along the 'track' or as 'chords', not as {protocol!r}", protocol=protocol)
     if not (np.isfinite(run.x) & np.isfinite(run.y)).any():
         raise RunsError(f"run {run.name}: there is no usable position", run=run.name)
     if length_m is None:
-        length_m = segment_length(run) if protocol == "track" else 1.0
-    cut = _along_the_track if protocol == "track" else _chords
-    return cut(run, length_m, charge, max_speed_mps)
-
-
-def _along_the_track(run: Run, length_m: float, charge: bool, max_speed_mps: float) -> Segments:
+        length_m = segment_length(run)
     track = arc_track(run, length_m)
     ends, short = equal_parts(track.arc_m, track.gap, track.stop, length_m)
     station = np.arange(track.t.size, dtype=np.float64)
@@ -168,9 +132,9 @@ def _along_the_track(run: Run, length_m: float, charge: bool, max_speed_mps: flo
         "fast": too_fast_m,
         "undriven": float((qs - ps)[carried].sum()),
     }
-    return _segments(
+    return segments_of(
         run,
-        columns | _electric(run, first, last, rows),
+        columns,
         first,
         last,
         np.interp(middle, station, t),
@@ -186,118 +150,24 @@ def _along_the_track(run: Run, length_m: float, charge: bool, max_speed_mps: flo
     )
 
 
-def _chords(run: Run, length_m: float, charge: bool, max_speed_mps: float) -> Segments:
-    left_out: dict[str, int] = {}
-    good = np.flatnonzero(np.isfinite(run.x) & np.isfinite(run.y))
-    t, x, y = run.t[good], run.x[good], run.y[good]
-    fresh = np.diff(t)[(np.diff(x) != 0) | (np.diff(y) != 0)]
-    interval = float(np.median(fresh)) if fresh.size else 0.0
-    longest_gap = max(_LONGEST_GAP_S, 2.5 * interval)
-    gap = np.concatenate([[True], (np.diff(t) > longest_gap) | run.breaks[good][1:]])
-    jumps = np.hypot(np.diff(x), np.diff(y))[gap[1:] & ~run.breaks[good][1:]]
-    add_count(left_out, "gaps", int(gap.sum()) - 1)
-    noise = position_noise(x, y, (np.diff(x) != 0) | (np.diff(y) != 0))
-    smoothing_s = max(SMOOTHING_S, interval)
-    x, y, vx, vy = smooth(t, x, y, np.cumsum(gap), smoothing_s)
-    speed = np.hypot(vx, vy)
-    own = speed[(speed > 0.0) & (speed <= max_speed_mps)]
-    usual = float(np.median(own[own > 0.25 * np.quantile(own, 0.9)])) if own.size else 0.0
-    piece, stops = pieces_of(t, speed, gap, 0.15 * usual, _STATIONARY_S)
-    add_count(left_out, "stops", stops)
-
-    ends, remainders = cut_chords(x, y, piece, length_m)  # (n, 2) fractional positions of p and q
-    add_count(left_out, "remainders", remainders)
-    station = np.arange(t.size, dtype=np.float64)
-
-    def _at(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return np.interp(ends[:, 0], station, values), np.interp(ends[:, 1], station, values)
-
-    (px, qx), (py, qy), (pt, qt) = _at(x), _at(y), _at(t)
-    step = np.concatenate([[0.0], np.hypot(np.diff(x), np.diff(y))])
-    ps, qs = _at(np.cumsum(step))
-    standing = (speed < STILL_M / STOP_S) & ~gap
-    pointed = headings(run, good, gap, Velocity(vx, vy, noise, smoothing_s), ~standing)
-    turned, turned_abs, gentle = turns_between(t, pointed.smoothed.value, ends)
-    half_square = 0.5 * track_speeds(run, good, np.cumsum(gap), interval, speed) ** 2
-    rises = np.maximum(np.diff(half_square, prepend=0.0), 0.0)
-    gained_p, gained_q = _at(np.cumsum(np.where(gap, 0.0, rises)))
-    kinetic_p, kinetic_q = _at(half_square)
-    standing_p, standing_q = _at(np.cumsum(np.where(standing, np.diff(t, prepend=t[0]), 0.0)))
-    power = run.drawn(charge=charge)
-    energy = integral(run.t, power, qt) - integral(run.t, power, pt)
-    first, last = np.searchsorted(run.t, pt), np.searchsorted(run.t, qt, side="right")
-    columns = {
-        "x": (px + qx) / 2,
-        "y": (py + qy) / 2,
-        "heading_rad": heading_of(qx - px, qy - py),
-        "energy_j": energy,
-        "duration_s": qt - pt,
-        "driven_m": qs - ps,
-        "heading_change_rad": turned,
-        "turn_sd_rad": pointed.turn_sd(ends),
-        "t0": pt,
-        "turned_abs_rad": turned_abs,
-        "gentle_turn_rad": gentle,
-        "gained_m2ps2": gained_q - gained_p,
-        "kinetic_m2ps2": kinetic_q - kinetic_p,
-        "standing_s": standing_q - standing_p,
-    }
-    bent = (qs - ps) > _BENT * length_m
-    slow = ~bent & ((qt - pt) * usual > _SLOW * length_m)
-    dead = ~bent & ~slow & ~(energy > 0)
-    fast = ~bent & ~dead & (qs - ps > max_speed_mps * (qt - pt))
-    divided = gap | (piece == 0) | (np.concatenate([[0], piece[:-1]]) != piece)  # by a gap or a stationary interval
-    driven = np.where(divided, 0.0, step)
-    track_m = float(np.where(gap, 0.0, step).sum())
-    left_out_m = {
-        "gaps": float(jumps.sum()),
-        "stops": track_m - float(driven.sum()),
-        "remainders": float(driven.sum() - (qs - ps).sum()),
-    }
-    for key, mask in (("bent", bent), ("slow", slow), ("not_positive", dead), ("fast", fast & ~slow)):
-        add_count(left_out, key, int(mask.sum()))
-        left_out_m[key] = float((qs - ps)[mask].sum())
-    return _segments(
-        run,
-        columns | _electric(run, first, last, None),
-        first,
-        last,
-        (pt + qt) / 2,
-        ~(bent | slow | dead | fast),
-        None,
-        length_m=length_m,
-        charge=charge,
-        of_motors=charge and run.of_motors,
-        stationary=stationary_intervals(t, x, y, piece, run.t, power, run.extras.get("speed")),
-        left_out=left_out,
-        left_out_m=left_out_m,
-        track_m=track_m + left_out_m["gaps"],
-    )
-
-
-def _electric(
-    run: Run, first: NDArray[np.int64], last: NDArray[np.int64], rows: NDArray[np.bool_] | None
-) -> dict[str, FloatArray]:
-    """Mean voltage, mean current and ripple between two rows."""
-    current, square = (_mean(values, first, last, False, rows) for values in (run.current_a, run.current_a**2))
-    voltage = np.full(first.size, np.nan)
-    if run.voltage_v is not None:
-        voltage = _mean(run.voltage_v, first, last, False, rows)
-    return {"voltage_v": voltage, "current_a": current, "ripple": _ripple(square, current)}
-
-
-def _segments(
+def segments_of(
     run: Run,
     columns: dict[str, FloatArray],
     first: NDArray[np.int64],
     last: NDArray[np.int64],
     middle_s: FloatArray,
     keep: NDArray[np.bool_],
-    rows: NDArray[np.bool_] | None,
+    rows: NDArray[np.bool_],
     *,
     left_out_m: dict[str, float],
     **more: Any,
 ) -> Segments:
+    """Make segments of a run, with the means of what it logged.
+
+    `columns` (n,): what is known of each segment; `first`, `last` (n,): its rows; `middle_s` (n,): stamp of its middle
+    [s]; `keep` (n,): which are used; `rows`: mask of the rows that count; `more`: what is said of the whole run.
+    """
+    columns = columns | _electric(run, first, last, rows)
     middle = np.clip(np.searchsorted(run.t, middle_s), 0, len(run) - 1)
     extras = {key: _mean(column, first, last, key in ANGLE_COLUMNS, rows) for key, column in run.extras.items()}
     kept: dict[str, Any] = {key: np.ascontiguousarray(column[keep]) for key, column in columns.items()}
@@ -312,6 +182,17 @@ def _segments(
     )
 
 
+def _electric(
+    run: Run, first: NDArray[np.int64], last: NDArray[np.int64], rows: NDArray[np.bool_]
+) -> dict[str, FloatArray]:
+    """Mean voltage, mean current and ripple between two rows."""
+    current, square = (_mean(values, first, last, False, rows) for values in (run.current_a, run.current_a**2))
+    voltage = np.full(first.size, np.nan)
+    if run.voltage_v is not None:
+        voltage = _mean(run.voltage_v, first, last, False, rows)
+    return {"voltage_v": voltage, "current_a": current, "ripple": _ripple(square, current)}
+
+
 def _ripple(square: FloatArray, mean: FloatArray) -> FloatArray:
     """Mean square over squared mean, 1 where no current flows."""
     flows = np.abs(mean) > 1e-9
@@ -323,14 +204,14 @@ def _mean(
     first: NDArray[np.int64],
     last: NDArray[np.int64],
     angle: bool,
-    rows: NDArray[np.bool_] | None = None,
+    rows: NDArray[np.bool_],
 ) -> FloatArray:
     """Mean of the known samples in rows [first, last); NaN where there is none. Angles [deg] as directions, 0..360."""
     if angle:
         radians = np.radians(values)
         sine, cosine = (_mean(part, first, last, False, rows) for part in (np.sin(radians), np.cos(radians)))
         return np.degrees(heading_of(sine, cosine))
-    known = np.isfinite(values) if rows is None else np.isfinite(values) & rows
+    known = np.isfinite(values) & rows
     centre = float(values[known].mean()) if known.any() else 0.0
     sums = np.concatenate([[0.0], np.cumsum(np.where(known, values - centre, 0.0))])
     counts = np.concatenate([[0], np.cumsum(known)])

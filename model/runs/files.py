@@ -11,7 +11,7 @@ from pathlib import Path
 
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.cutting import CARRIED, Protocol, cut_segments
+from joulemap.model.runs.cutting import CARRIED, cut_segments
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.reader import Run, read_run
 from joulemap.model.runs.segments import Segments, concatenate_segments, driven_only
@@ -90,7 +90,6 @@ def read_segments(
     *,
     crs: str | None,
     charge: bool = False,
-    protocol: Protocol = "track",
     currents: Currents = "auto",
     length_m: float | None = None,
 ) -> tuple[list[Run], Segments]:
@@ -109,6 +108,6 @@ def read_segments(
     for run in runs:
         counted = charge or not run.has_energy
         fastest = CARRIED * robot.speed_mps
-        cut = cut_segments(run, length_m=length_m, charge=counted, protocol=protocol, max_speed_mps=fastest)
+        cut = cut_segments(run, length_m=length_m, charge=counted, max_speed_mps=fastest)
         parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if counted else cut)
     return runs, driven_only(concatenate_segments(parts))

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_place, check_units
-from joulemap.model.runs.cutting import Protocol
 from joulemap.model.runs.files import distinct_names, read_segments
 from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.reader import Run
@@ -133,7 +132,7 @@ def robot_of_all(sites: Sequence[Site]) -> Robot:
     return first.robot
 
 
-def read_sites(sites: Sequence[Site], *, charge: bool = False, protocol: Protocol = "track") -> SiteRuns:
+def read_sites(sites: Sequence[Site], *, charge: bool = False) -> SiteRuns:
     """Read the runs of several sites, and check that each was driven on its map."""
     files = files_of(sites)
     idle = next((site for site in sites if not site.files), None)
@@ -152,7 +151,6 @@ def read_sites(sites: Sequence[Site], *, charge: bool = False, protocol: Protoco
                 site.robot,
                 crs=site.heightmap.frame.crs,
                 charge=charge,
-                protocol=protocol,
                 length_m=site.length_m,
             )
             segments = replace(segments, runs=tuple(mine))

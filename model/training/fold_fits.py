@@ -16,11 +16,10 @@ from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.artifact import Artifact, predictor_of
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
-from joulemap.model.energy.examples import MAX_TURN_RAD, Examples, concatenate, cut_examples
+from joulemap.model.energy.examples import Examples, concatenate, cut_examples
 from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.prediction import predict_segments
 from joulemap.model.energy.shape_regression import shape_features
-from joulemap.model.energy.uncertainty import FEWEST, LEAST_SHARE
 from joulemap.model.errors import InputError
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.sites import SiteRuns
@@ -101,15 +100,13 @@ class FoldFits:
         parent: Artifact | None,
         out: Path,
         seed: int,
-        *,
-        straight: bool,
     ) -> None:
         self.measured, self.kind, self.patch_size, self.start = measured, kind, patch_size, start
-        self.out, self.seed, self.straight = out, seed, straight
+        self.out, self.seed = out, seed
         self.part = _parts(measured.segments)
         self.examples, self._index, self.known = self._cut()
         self.domain = self._domain(parent)
-        self._rows = None if straight else self._cost_rows(parent)
+        self._rows = self._cost_rows(parent)
         self._said: list[tuple[NDArray[np.int64], FloatArray, FloatArray | None, FloatArray]] = []
         self._told: list[tuple[NDArray[np.int64], dict[str, FloatArray]]] = []  # by simple models, likewise
 
@@ -164,21 +161,13 @@ class FoldFits:
         std = np.concatenate(stds)[order] if len(stds) == len(self._said) else None
         segments = self.measured.segments.take(index[order])
         beside = self._declared_j()[index[order]]
-        if self._rows is not None:
-            return Judged(index[order], segments, energy, std, traction, fit_costs(self._rows).costs, beside)
-        turned = segments.turned_abs_rad - self.domain.turned_rad
-        turn = _turning(segments, energy, turned)
-        costs = DriveCosts(turn_j_per_rad=turn)
-        return Judged(index[order], segments, energy + turn * turned, std, traction, costs, beside)
+        return Judged(index[order], segments, energy, std, traction, fit_costs(self._rows).costs, beside)
 
     def baseline_errors(self, known: NDArray[np.bool_]) -> dict[str, dict[str, Any]]:
         """Return the errors of simple models on the segments of `judged`.
 
-        `known` (n,): which of them the networks know. Result: as `evaluation.errors`, by model; empty where networks
-        learned from straight segments alone.
+        `known` (n,): which of them the networks know. Result: as `evaluation.errors`, by model.
         """
-        if not self._told:
-            return {}
         index = np.concatenate([mine for mine, _ in self._told])
         order = np.argsort(index)
         segments = self.measured.segments.take(index[order])
@@ -199,17 +188,14 @@ class FoldFits:
     def _cut(self) -> tuple[Examples, NDArray[np.int64], int]:
         """Examples from all directions, the segment of each, and the number of segments that one shows."""
         copies, segments = self.kind.training.copies, self.measured.segments
-        chosen = np.arange(len(segments))
-        if self.straight:
-            chosen = np.flatnonzero(np.abs(segments.heading_change_rad) < MAX_TURN_RAD)
-        angles = np.random.default_rng([self.seed, chosen.size]).uniform(0.0, 2.0 * math.pi, (copies - 1, chosen.size))
-        turns = np.concatenate([np.zeros((1, chosen.size)), angles])
+        n = len(segments)
+        angles = np.random.default_rng([self.seed, n]).uniform(0.0, 2.0 * math.pi, (copies - 1, n))
+        turns = np.concatenate([np.zeros((1, n)), angles])
         seen = []
         for number, site in enumerate(self.measured.sites):
-            here = self.measured.site[chosen] == number
-            mine = chosen[here]
+            mine = self.measured.on(number)
             s = segments.take(mine)
-            for turned in turns[:, here]:
+            for turned in turns[:, mine]:
                 seen.append(
                     cut_examples(
                         site.ground,
@@ -223,15 +209,12 @@ class FoldFits:
                         architecture=self.kind.name,
                         size=self.patch_size,
                         turned_rad=turned,
-                        driven_m=1.0 if self.straight else s.driven_m,
+                        driven_m=s.driven_m,
                     )
                 )
         known = sum(len(part) for part in seen[:: turns.shape[0]])  # corners of turned squares may be off the map
         if known == 0:
-            what = "goes straight over" if self.straight else "lies on"
-            raise InputError(
-                f"none of the {len(segments)} segments {what} ground that the heightmap knows", segments=len(segments)
-            )
+            raise InputError(f"none of the {n} segments lies on ground that the heightmap knows", segments=n)
         examples = concatenate(seen)
         return replace(examples, run=self.part[examples.run]), examples.run, known
 
@@ -239,20 +222,16 @@ class FoldFits:
         segments = self.measured.segments
         payload = np.nan_to_num(segments.extras.get("payload", np.zeros(len(segments))))
         domain = replace(self.examples.domain(), payload_kg=(min(0.0, payload.min()), max(0.0, payload.max())))
-        if self.straight:
-            straight = np.abs(segments.heading_change_rad) < MAX_TURN_RAD
-            domain = replace(domain, turned_rad=round(float(segments.turned_abs_rad[straight].mean()), 5))
-        else:
-            moving = np.maximum(segments.duration_s - segments.standing_s, 1e-3)
-            grade = np.concatenate([self._grade(k) for k in range(len(self.measured.sites))])
-            shown = {
-                "speed_mps": segments.driven_m / moving,
-                "turn_rad_per_m": segments.turned_abs_rad / segments.driven_m,
-                "turn_radps": segments.turned_abs_rad / moving,
-                "grade_deg": np.degrees(np.arctan(grade[np.isfinite(grade)])),
-            }
-            ends = {key: np.quantile(values, (_SHOWN, 1.0 - _SHOWN)) for key, values in shown.items() if values.size}
-            domain = replace(domain, driven={k: (round(float(a), 4), round(float(b), 4)) for k, (a, b) in ends.items()})
+        moving = np.maximum(segments.duration_s - segments.standing_s, 1e-3)
+        grade = np.concatenate([self._grade(k) for k in range(len(self.measured.sites))])
+        shown = {
+            "speed_mps": segments.driven_m / moving,
+            "turn_rad_per_m": segments.turned_abs_rad / segments.driven_m,
+            "turn_radps": segments.turned_abs_rad / moving,
+            "grade_deg": np.degrees(np.arctan(grade[np.isfinite(grade)])),
+        }
+        ends = {key: np.quantile(values, (_SHOWN, 1.0 - _SHOWN)) for key, values in shown.items() if values.size}
+        domain = replace(domain, driven={k: (round(float(a), 4), round(float(b), 4)) for k, (a, b) in ends.items()})
         return domain if parent is None else parent.domain.joined(domain)
 
     def _declared_j(self) -> FloatArray:
@@ -293,10 +272,8 @@ class FoldFits:
         robots = tuple(site.robot for site in measured.sites)
         return CostRows(measured.segments, robots, measured.site, traction, shape, grade)
 
-    def _costs_without(self, parts: Sequence[int]) -> tuple[CostFit | None, Network | None]:
+    def _costs_without(self, parts: Sequence[int]) -> tuple[CostFit, Network | None]:
         """Costs that were fitted without some parts, and the network to start from with its level put right."""
-        if self._rows is None:
-            return None, self.start
         out = np.isin(self.part, parts)
         fitted = fit_costs(self._rows.take(~out))
         told = baseline_predictions(self._rows, self.shapes, ~out)
@@ -306,10 +283,8 @@ class FoldFits:
             return fitted, None
         return fitted, self.kind.adapted(self.start, level=fitted.level, climb=fitted.climb, shape=fitted.shape)
 
-    def _beside(self, fitted: CostFit | None) -> Examples:
+    def _beside(self, fitted: CostFit) -> Examples:
         """The examples with the energy that costs explain."""
-        if fitted is None:
-            return self.examples
         segments = self.measured.segments
         beside = np.empty(len(segments))
         for k, site in enumerate(self.measured.sites):
@@ -318,9 +293,8 @@ class FoldFits:
             beside[mine] = site.robot.turn_j_per_rad * s.turned_abs_rad + fitted.costs.energy_j(site.robot, s)
         return replace(self.examples, beside_j=beside[self._index].astype(np.float32))
 
-    def _judge(self, net: Network, parts: Sequence[int], fitted: CostFit | None) -> None:
-        costs = DriveCosts() if fitted is None else fitted.costs
-        predictor = predictor_of(self.artifact(net, costs), {}, name="")
+    def _judge(self, net: Network, parts: Sequence[int], fitted: CostFit) -> None:
+        predictor = predictor_of(self.artifact(net, fitted.costs), {}, name="")
         for k, site in enumerate(self.measured.sites):
             mine = np.flatnonzero(np.isin(self.part, parts) & (self.measured.site == k))
             if mine.size:
@@ -340,19 +314,3 @@ def _parts(segments: Segments) -> NDArray[np.int64]:
     if np.unique(segments.run).size > 1:
         return segments.run
     return np.arange(len(segments)) * _STRETCHES // max(len(segments), 1)
-
-
-def _turning(segments: Segments, predicted_j: FloatArray, turned: FloatArray) -> float:
-    """Energy of turning [J/rad] beyond straight driving, at least 0: the weighted least-squares slope of the residual.
-
-    turned : (n,) turn of each segment beyond the mean turn of straight ones [rad]. Weights are one over the square of
-    the prediction. The idle power of the additional time that turns take is included.
-    """
-    rest = segments.energy_j - predicted_j
-    use = np.isfinite(rest) & (np.abs(segments.heading_change_rad) >= MAX_TURN_RAD)
-    if use.sum() < FEWEST:
-        return 0.0
-    rest = rest[use] - np.nanmedian(rest[~use]) if (~use).any() else rest[use]
-    weight = 1.0 / np.maximum(predicted_j[use], LEAST_SHARE * np.nanmedian(predicted_j)) ** 2
-    slope = float((weight * rest * turned[use]).sum() / (weight * turned[use] ** 2).sum())
-    return round(max(slope, 0.0), 3) if math.isfinite(slope) else 0.0

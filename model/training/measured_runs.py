@@ -18,7 +18,6 @@ from joulemap.model.energy.residuals_of_runs import keep_base_runs
 from joulemap.model.energy.uncertainty import FEWEST, Spread, fit_spread
 from joulemap.model.errors import InputError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.cutting import Protocol
 from joulemap.model.runs.record import RECORD_FILE
 from joulemap.model.runs.sites import Site, read_sites
 from joulemap.model.terrain.heightmap import Heightmap
@@ -102,7 +101,6 @@ def train_on_sites(
     epochs: int | None = None,
     seed: int = 0,
     charge: bool = False,
-    protocol: Protocol = "track",
     resume: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> TrainedModel:
@@ -120,7 +118,7 @@ def train_on_sites(
     kind = find_architecture(architecture)
     if backbone is not None and start_from is not None:
         raise InputError("weights for a backbone do not go together with a model to start from")
-    measured = read_sites(sites, charge=charge, protocol=protocol)
+    measured = read_sites(sites, charge=charge)
     parent = read_artifact(start_from) if start_from is not None else None
     start: Network | None = parent.net if parent is not None else None
     check_start(kind, start)
@@ -129,7 +127,7 @@ def train_on_sites(
     size = kind.input_size(patch_size or (parent.size if parent is not None else None))
     if parent is not None and size != parent.size:
         raise InputError(f"the network of {start_from} reads patches of {parent.size} rows, not {size}", size=size)
-    fits = FoldFits(measured, kind, size, start, parent, out, seed, straight=protocol == "chords")
+    fits = FoldFits(measured, kind, size, start, parent, out, seed)
     if not resume:
         fits.forget()
     out.mkdir(parents=True, exist_ok=True)
@@ -172,7 +170,6 @@ def train_on_sites(
         warnings.append(f"measured sums of left-out runs were {level.ratio:.1%} of the predicted ones, which is {done}")
     training = {
         "data": "measured runs",
-        "protocol": protocol,
         "data_hash": fits.examples.data_hash,
         "heightmap": sites[0].heightmap.data_hash,
         "heightmaps": [site.heightmap.data_hash for site in sites],

@@ -11,7 +11,6 @@ from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.physics import (
     eq5_traction_per_m,
     fit_rolling_resistance,
-    local_rolling_resistance,
 )
 from joulemap.model.energy.shape_regression import RidgeBaseline
 from joulemap.model.robot import Robot
@@ -92,6 +91,22 @@ def local_friction(test: Measured, robot: Robot) -> FloatArray:
         traction = test.segments.energy_j[mine] - robot.hotel_per_m
         mu[mine] = local_rolling_resistance(traction, grade[mine], weight_n=robot.weight_n)
     return robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, grade))
+
+
+def local_rolling_resistance(
+    traction_per_m: FloatArray, grade: FloatArray, *, weight_n: float, segments: int = 5
+) -> FloatArray:
+    """Fit mu for every block of segments to the block before it (section V-D, Fig. 8 right).
+
+    Result (n,): mu; NaN in the first block.
+    """
+    out = np.full(traction_per_m.size, np.nan)
+    for start in range(segments, out.size, segments):
+        before = slice(start - segments, start)
+        if (np.isfinite(traction_per_m[before]) & np.isfinite(grade[before])).any():
+            mu = fit_rolling_resistance(traction_per_m[before], grade[before], weight_n=weight_n)
+            out[start : start + segments] = mu
+    return out
 
 
 def _grade(measured: Measured) -> FloatArray:

@@ -10,9 +10,9 @@ import numpy as np
 
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import read_segments
 from joulemap.model.terrain.heightmap import Heightmap
 from tests.paper import baselines, networks
+from tests.paper.chords import read_chords
 from tests.paper.measured import Measured, judged
 
 _FITTED = {
@@ -44,5 +44,5 @@ def compare(
 
 
 def _measured(heightmap: Heightmap, robot: Robot, files: Sequence[Path], site: str) -> Measured:
-    _, segments = read_segments(files, robot, crs=heightmap.frame.crs, protocol="chords")
+    segments = read_chords(files, robot, crs=heightmap.frame.crs)
     return Measured(site, heightmap, tuple(files), segments, np.full(len(segments), np.nan))

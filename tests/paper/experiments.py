@@ -14,6 +14,7 @@ from joulemap.model.energy.predictor import Predictor, load_predictor
 from joulemap.model.runs.segments import concatenate_segments
 from tests.paper import networks
 from tests.paper.baselines import friction_map, global_friction, local_friction, shape_ridge
+from tests.paper.compact import trained_compact
 from tests.paper.fieldwork import make_field, more_examples
 from tests.paper.measured import Measured
 from tests.paper.profiles import STRATEGIES, Profile
@@ -53,7 +54,7 @@ def compact(setting: Setting, seed: int) -> Scores:
     field, scores = Field(setting, seed), Scores()
     for method, start in (("compact", networks.SHIPPED), ("compact_scratch", None)):
         here = setting.model(method, seed)
-        trained = networks.trained_compact(
+        trained = trained_compact(
             field.west("a_lawnmower"),
             field.robot,
             out=here,
@@ -62,7 +63,7 @@ def compact(setting: Setting, seed: int) -> Scores:
             epochs=setting.profile.compact_epochs,
         )
         _grass_rows(scores, method, field, trained)
-        tuned = networks.trained_compact(
+        tuned = trained_compact(
             field.west("dirt_lawnmower"),
             field.robot,
             out=setting.model(f"{method}_dirt", seed),
@@ -133,7 +134,7 @@ def learning_curve(setting: Setting, seed: int) -> Scores:
             if metres == 0:
                 model = load_predictor("default") if start is not None else PhysicsPredictor()
             else:
-                model = networks.trained_compact(
+                model = trained_compact(
                     _driven(field, setting.profile, metres),
                     field.robot,
                     out=setting.model(f"{method}_{metres}", seed),
@@ -154,7 +155,7 @@ def other_heightmap(setting: Setting, seed: int) -> Scores:
     west, test = field.west("a_lawnmower"), field.test("V-A")
     for method, fit in _BASELINES:
         scores.add(f"{method}_{kind}", "V-A", fit(west, field.robot)(test), test)
-    trained = networks.trained_compact(
+    trained = trained_compact(
         west,
         field.robot,
         out=setting.model(f"compact_{kind}", seed),

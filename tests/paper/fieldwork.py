@@ -18,7 +18,6 @@ from joulemap.model.field.robot_dynamics import FieldRobot
 from joulemap.model.field.simulation import Trace, simulate_segments, simulate_trace
 from joulemap.model.field.sites import GROUNDS, Site, named_site
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.reader import read_run
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
@@ -26,6 +25,7 @@ from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.surface_fit import fit_surface
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on
+from tests.paper.chords import read_chords
 from tests.paper.measured import Measured
 from tests.paper.profiles import Profile
 
@@ -86,7 +86,7 @@ def make_field(folder: Path, seed: int, profile: Profile) -> dict[str, Any]:
                 start_s = _HOUR_S * number
                 log = log_trace(trace, truth, rng=rng, terrain=site.ground.name, start_s=start_s)
                 file = log.write_csv(folder / f"{drive}_{number:02d}.csv")
-                _, segments = read_segments([file], robot, crs=site.survey.frame.crs, protocol="chords")
+                segments = read_chords([file], robot, crs=site.survey.frame.crs)
                 parts.append(_explained(trace, segments, start_s))
                 metres[drive] += driven.length_m
             explained[drive] = np.concatenate(parts)
@@ -104,7 +104,7 @@ def read_measured(
     files = _logs(folder, drive)
     if heightmap is None:
         heightmap = read_site_heightmap(folder, site, heightmap_from)
-    _, segments = read_segments(files, robot, crs=heightmap.frame.crs, protocol="chords")
+    segments = read_chords(files, robot, crs=heightmap.frame.crs)
     with np.load(folder / "explained.npz") as kept:
         explained = kept[drive]
     return Measured(site, heightmap, files, segments, explained)

@@ -1,4 +1,4 @@
-"""How the reproduction trains networks and asks them: the only module of it that calls the project's training."""
+"""How the reproduction trains networks on many segments, and the paper's network; and how it asks them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from joulemap.model.field.simulation import simulate_segments
 from joulemap.model.field.sites import SURVEYS, random_site
 from joulemap.model.robot import Robot
 from joulemap.model.training.fold_fits import CHECKPOINT
-from joulemap.model.training.measured_runs import train_on_runs
 from joulemap.model.training.optimisation import TrainingOptions, train_network
 from tests.paper.measured import Measured
 from tests.paper.profiles import STRATEGIES, Profile
@@ -38,28 +37,6 @@ _MORE_BATCH = 128  # twenty times the data do not need small batches
 _PAPER_BATCH = 32
 _BACKBONE_SLOPE_DEG = 12.0
 _BACKBONE_WAYPOINTS = 12
-
-
-def trained_compact(
-    measured: Measured, robot: Robot, *, out: Path, start_from: Path | None, seed: int, epochs: int
-) -> Predictor:
-    """Train a compact network as `joulemap train` does, unless it is there already.
-
-    `start_from`: a model's folder, None for a fresh network.
-    """
-    if not (out / CONFIG_FILE).exists():
-        train_on_runs(
-            measured.heightmap,
-            robot,
-            measured.files,
-            out=out,
-            start_from=start_from,
-            seed=seed,
-            epochs=epochs,
-            protocol="chords",
-            resume=True,
-        )
-    return load_predictor(out)
 
 
 def compact_on_more(examples: Examples, *, out: Path, seed: int, epochs: int) -> Predictor:

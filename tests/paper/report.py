@@ -43,7 +43,7 @@ _NOTES = """
 Paper: its network on its own data (in brackets its physics baseline); not the same ground, so only the pattern can be
 compared. Physics: equation 5 with one mu fitted by least squares. GP: mu as a Gaussian process over the map (Quann et
 al. 2020); on another site it predicts its mean. Ridge: a regression on plain shape features of the heightmap.
-ResNet18: the paper's network, backbone fine-tuned. Compact: what `joulemap train` makes from the shipped weights.
+ResNet18: the paper's network, backbone fine-tuned. Compact: the shipped network, fine-tuned on straight segments.
 Noise floor: perfect knowledge of ground, robot and driving, with the logger's noise. Map floor: the compact network
 with {more} times the data of the same robot on other sites of the test set's own kind, always on surveys. Segments that
 turn by more than 0.25 rad are left out. ± is the half width of the 95 % interval over seeds.

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from joulemap.model.energy.physics import eq5_traction_per_m
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
+from tests.paper.baselines import local_rolling_resistance
 from tests.paper.experiments import EXPERIMENTS
 from tests.paper.fieldwork import roughness_m3
 from tests.paper.profiles import PROFILES
@@ -95,3 +97,11 @@ def test_roughness_is_that_of_the_profile() -> None:
     terrain = Heightmap(heights, GridFrame(0.0, rows * step, step, rows, 40))
     expected = 2 * 0.01 * step / (2 * math.pi * 0.1) ** 2
     assert roughness_m3(terrain) == pytest.approx(expected, rel=0.05)
+
+
+def test_five_metres_tell_the_next_five():
+    mu = np.repeat([0.05, 0.1, 0.15, 0.2], 5)[:18]
+    grade = np.linspace(-0.1, 0.1, 18)
+    local = local_rolling_resistance(eq5_traction_per_m(200.0, mu, grade), grade, weight_n=200.0)
+    assert np.isnan(local[:5]).all()
+    np.testing.assert_allclose(local[5:], np.repeat([0.05, 0.1, 0.15], 5)[:13])

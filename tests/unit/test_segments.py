@@ -51,18 +51,6 @@ def test_a_straight_drive_at_constant_power():
     }
 
 
-def test_the_papers_chords_are_a_metre_each():
-    segments = cut_segments(line(), protocol="chords")
-    assert len(segments) == 29  # 29.95 m
-    np.testing.assert_allclose(segments.energy_j, 28.0 * 2.0 * 2.0, rtol=1e-9)  # 56 W for 2 s
-    np.testing.assert_allclose(segments.driven_m, 1.0, rtol=1e-9)
-    assert segments.left_out == {"remainders": 1}
-    assert segments.left_out_m == {"remainders": pytest.approx(0.95)}
-    assert segments.track_m == pytest.approx(29.95)
-    with pytest.raises(InputError, match="'track' or as 'chords'"):
-        cut_segments(line(), protocol="arcs")
-
-
 def test_a_stand_counts_beside_segments_of_its_run_only():
     rest = np.full(100, 100.0), np.full(100, 50.0)
     runs = []
@@ -94,15 +82,6 @@ def test_rising_power_is_integrated_exactly():
 def circle(radius=3.0):
     angle = 0.5 / radius * np.arange(0.0, 60.0, 0.1)  # clockwise from its northern point
     return run_along(radius * np.sin(angle), radius * np.cos(angle))
-
-
-def test_a_circle_turns_and_is_longer_than_its_chords():
-    segments = cut_segments(circle(), protocol="chords")
-    turn = 2.0 * math.asin(0.5 / 3.0)  # of a chord of 1 m
-    inner = slice(1, -1)  # the ends of a track are smoothed from one side only
-    np.testing.assert_allclose(segments.heading_change_rad[inner], turn, rtol=5e-3)
-    np.testing.assert_allclose(segments.driven_m[inner], 3.0 * turn, rtol=2e-3)
-    np.testing.assert_allclose(np.hypot(segments.x, segments.y)[inner], math.sqrt(9.0 - 0.25), rtol=5e-3)
 
 
 def test_along_a_circle_segments_lie_on_it():
@@ -240,13 +219,10 @@ def test_nothing_is_left_out_for_its_energy_its_duration_or_its_bends():
     x = np.where(s < 3.5, 0.0, 0.2)
     y = np.where(s < 3.5, s, 7.0 - s)
     bent = run_along(x, y)
-    assert cut_segments(bent, protocol="chords").left_out["bent"] == 1
     t = np.arange(0.0, 80.0, 0.1)
     way = np.where(t < 20.0, 0.5 * t, 10.0 + 0.1 * (t - 20.0))  # 10 m, and 6 m at a fifth of the speed
     slow = run_along(way, 0 * way)
-    assert cut_segments(slow, protocol="chords").left_out["slow"] >= 4
     fed_back = line(amps=np.where(np.arange(600) < 300, 2.0, -1.0))
-    assert cut_segments(fed_back, protocol="chords").left_out["not_positive"] >= 13
     for run, metres in ((bent, 8.0), (slow, 16.0), (fed_back, 29.95)):
         segments = cut_segments(run)
         assert segments.left_out == {}
