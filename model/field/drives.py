@@ -123,35 +123,6 @@ def random_waypoints(
     return points
 
 
-def winding(
-    bounds: tuple[float, float, float, float],
-    length_m: float,
-    rng: np.random.Generator,
-    *,
-    curvature_per_m: float = 0.25,
-) -> list[tuple[float, float]]:
-    """Draw a path of one curve after another, which turns back before the bounds.
-
-    `bounds`: west, south, east, north of the area [m]. Result: world x, y [m], every 0.25 m.
-    """
-    west, south, east, north = bounds
-    x, y = float(rng.uniform(west, east)), float(rng.uniform(south, north))
-    centre = (west + east) / 2, (south + north) / 2
-    step = 0.25
-    curvatures = curvature_per_m * smooth_noise(rng, max(int(length_m / step), 2), 2.0 / step)
-    heading = math.atan2(centre[0] - x, centre[1] - y)
-    points = [(x, y)]
-    for curvature in curvatures:
-        ahead = x + 3.5 * math.sin(heading), y + 3.5 * math.cos(heading)
-        if not (west <= ahead[0] <= east and south <= ahead[1] <= north):
-            inward = float(wrap_angle(math.atan2(centre[0] - x, centre[1] - y) - heading))
-            curvature = math.copysign(0.8, inward)
-        heading += curvature * step
-        x, y = x + step * math.sin(heading), y + step * math.cos(heading)
-        points.append((x, y))
-    return points
-
-
 def _clip(
     origin: FloatArray, along: FloatArray, bounds: tuple[float, float, float, float]
 ) -> tuple[float, float] | None:

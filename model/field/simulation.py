@@ -110,11 +110,6 @@ class TrueSegments:
     def __len__(self) -> int:
         return int(self.x.size)
 
-    @property
-    def noise_floor(self) -> float:
-        """Mean |explained - drawn| / drawn: the error that perfect knowledge of the terrain leaves."""
-        return float(np.mean(np.abs(self.explained_j - self.energy_j) / self.energy_j))
-
 
 def simulate_trace(
     site: Site,

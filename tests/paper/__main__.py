@@ -62,7 +62,6 @@ def reproduce(
             help="`default`: an hour on two cores. `full`: 256 x 256 patches. `quick`: only shows that it runs."
         ),
     ] = ProfileName.DEFAULT,
-    full: Annotated[bool, typer.Option("--full", help="Short for `--profile full`.")] = False,
     seeds: Annotated[
         int | None, typer.Option(min=1, max=99, metavar="N", help="Sites, robots and drives. [default: 5]")
     ] = None,
@@ -96,7 +95,7 @@ def reproduce(
     from tests.paper.setting import Setting
 
     output = Output(json_file)
-    extent = PROFILES["full" if full else profile.value]
+    extent = PROFILES[profile.value]
     if seeds is not None:
         extent = replace(extent, seeds=seeds, resnet_seeds=min(seeds, extent.resnet_seeds))
     setting = Setting(out, extent, heightmap_from.value, backbone)

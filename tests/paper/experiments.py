@@ -88,7 +88,7 @@ def resnet(strategy: str, setting: Setting, seed: int) -> Scores:
         size=profile.resnet_size,
         epochs=profile.resnet_epochs[STRATEGIES.index(strategy)],
         seed=seed,
-        backbone=setting.weights or setting.model("backbone", 0) / networks.BACKBONE_FILE,
+        start=setting.weights or setting.model("backbone", 0) / networks.BACKBONE_FILE,
     )
     _grass_rows(scores, method, field, trained)
     if strategy == "finetuned":
@@ -100,7 +100,7 @@ def resnet(strategy: str, setting: Setting, seed: int) -> Scores:
             size=profile.resnet_size,
             epochs=profile.dirt_epochs,
             seed=seed,
-            start_from=here,
+            start=here,
         )
         _dirt_rows(scores, method, field, tuned)
     return scores

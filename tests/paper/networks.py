@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from safetensors.torch import save_file
 
@@ -108,13 +109,16 @@ def trained_resnet(
     size: int,
     epochs: int,
     seed: int,
-    backbone: Path | None = None,
-    start_from: Path | None = None,
+    start: Path | None,
 ) -> Predictor:
-    """Train the paper's network with the paper's loss and learning rate, unless it is there already."""
+    """Train the paper's network with the paper's loss and learning rate, unless it is there already.
+
+    `start`: a file with a backbone's weights, or the folder of such a network; a network from scratch needs neither.
+    """
     if strategy not in STRATEGIES:
         raise ModelError(f"no training strategy {strategy!r}: known are {', '.join(STRATEGIES)}", name=strategy)
     if not (out / CONFIG_FILE).exists():
+        torch.manual_seed(seed)  # of the head on a backbone
         straight = measured.segments.take(measured.straight)
         examples = cut_examples(
             measured.heightmap,
@@ -129,7 +133,7 @@ def trained_resnet(
         )
         net = _trained_resnet(
             examples,
-            start=_start(strategy, backbone, start_from),
+            start=_start(strategy, start),
             epochs=epochs,
             seed=seed,
             frozen=strategy == "frozen",
@@ -140,14 +144,12 @@ def trained_resnet(
     return load_predictor(out)
 
 
-def _start(strategy: str, backbone: Path | None, start_from: Path | None) -> ResNetEnergy | None:
-    if start_from is not None:
-        return _resnet(read_artifact(start_from).net)
+def _start(strategy: str, start: Path | None) -> ResNetEnergy | None:
     if strategy == "scratch":
         return None
-    if backbone is None:
+    if start is None:
         raise ModelError(f"the strategy {strategy!r} needs a backbone's weights")
-    return ResNet18().from_backbone(backbone)
+    return _resnet(read_artifact(start).net) if start.is_dir() else ResNet18().from_backbone(start)
 
 
 def _trained_resnet(

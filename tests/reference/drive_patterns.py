@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from joulemap.model.field.drives import Drive, drive_along, lawnmower, random_waypoints, winding
+from joulemap.model.field.drives import Drive, drive_along, lawnmower, random_waypoints, smooth_noise
 from joulemap.model.field.robots import FieldRobot
 from joulemap.model.field.sites import Site
 from joulemap.model.frames import wrap_angle
@@ -32,6 +32,35 @@ def drive_of(pattern: str, site: Site, robot: FieldRobot, length_m: float, rng: 
         return drive_along(points, speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.3)
     points = _without_reversals(random_waypoints(inside, int(length_m / 2.0), rng, least_leg_m=8.0))
     return drive_along(_cut_to(points, 1.05 * length_m), speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.8)
+
+
+def winding(
+    bounds: tuple[float, float, float, float],
+    length_m: float,
+    rng: np.random.Generator,
+    *,
+    curvature_per_m: float = 0.25,
+) -> list[tuple[float, float]]:
+    """Draw a path of one curve after another, which turns back before the bounds.
+
+    `bounds`: west, south, east, north of the area [m]. Result: world x, y [m], every 0.25 m.
+    """
+    west, south, east, north = bounds
+    x, y = float(rng.uniform(west, east)), float(rng.uniform(south, north))
+    centre = (west + east) / 2, (south + north) / 2
+    step = 0.25
+    curvatures = curvature_per_m * smooth_noise(rng, max(int(length_m / step), 2), 2.0 / step)
+    heading = math.atan2(centre[0] - x, centre[1] - y)
+    points = [(x, y)]
+    for curvature in curvatures:
+        ahead = x + 3.5 * math.sin(heading), y + 3.5 * math.cos(heading)
+        if not (west <= ahead[0] <= east and south <= ahead[1] <= north):
+            inward = float(wrap_angle(math.atan2(centre[0] - x, centre[1] - y) - heading))
+            curvature = math.copysign(0.8, inward)
+        heading += curvature * step
+        x, y = x + step * math.sin(heading), y + step * math.cos(heading)
+        points.append((x, y))
+    return points
 
 
 def _without_reversals(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

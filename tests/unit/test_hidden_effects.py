@@ -8,7 +8,7 @@ import pytest
 
 from joulemap.model.errors import InputError, NotFoundError
 from joulemap.model.field.conditions import Conditions, Day, Halts, Wind
-from joulemap.model.field.drives import drive_along, winding
+from joulemap.model.field.drives import drive_along
 from joulemap.model.field.effects import Effect, Within
 from joulemap.model.field.hidden_draws import EFFECT_NAMES, day_for, draw_effect
 from joulemap.model.field.hidden_forces import (
@@ -34,6 +34,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.reader import read_run
 from joulemap.model.terrain.heightmap import Heightmap
+from tests.reference.drive_patterns import winding
 from tests.reference.validation_case import make_validation_case
 
 G = 9.80665
