@@ -4,9 +4,9 @@ from joulemap.model.runs.words import count_words, number_words, quantity_name
 
 
 def test_counts_of_logs_are_said_in_words():
-    counts = {"gaps": 1, "stops": 24, "remainders": 34, "bent": 1234, "fast": 0}
+    counts = {"gaps": 1, "stops": 24, "remainders": 34, "undriven": 1234, "fast": 0}
     assert count_words(counts) == (
-        "1 gap, 24 stops, 34 pieces too short for a segment, 1,234 where the path bends too much"
+        "1 gap, 24 stops, 34 pieces too short for a segment, 1,234 in runs in which the robot was carried"
     )
     repairs = {"held_fixes": 2, "voltage_spikes": 1, "current_left_spikes": 3, "blank_current": 5, "held_current": 4}
     assert count_words(repairs) == (
