@@ -121,3 +121,18 @@ SEARCH_S = Range(0.05, 60.0)
 
 CORRIDOR_PERCENT = Range(0.0, 1000.0)
 """How much dearer than the best the routes of a corridor may be [%]."""
+
+OBJECTIVES = ("mean", "quantile", "arrival")
+"""What a route may be chosen by: its expected energy, a quantile of it, the probability to arrive with the reserve."""
+
+QUANTILE = Range(0.5, 0.99)
+"""A share of drives, or a probability, that may be asked for: beyond, the tails of the distribution are not known."""
+
+MOST_CHARGES = 10
+"""States of charge in one question for reach."""
+
+MOST_CHARGING = 16
+"""Places to charge in one question for the point of no return."""
+
+MOST_STOPS = 60
+"""Stops of a tour."""

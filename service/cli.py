@@ -29,11 +29,11 @@ from joulemap.service.commands import (
     tours,
 )
 from joulemap.service.commands.arguments import Command
-from joulemap.service.commands.console import PlainErrors
+from joulemap.service.commands.asked import Commands, listed
 
 app = typer.Typer(
     name="joulemap",
-    cls=PlainErrors,
+    cls=Commands,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode="markdown",
@@ -111,9 +111,9 @@ for _panel, _commands in (
     ),
 ):
     for _command in _commands:
-        app.command(cls=Command, rich_help_panel=_panel)(_command)
-app.command("return", cls=Command, rich_help_panel="Plan")(homeward.point_of_no_return)
-app.command("import", cls=Command, rich_help_panel="Learn")(logs.import_logs)
+        app.command(cls=Command, rich_help_panel=_panel)(listed(_command))
+app.command("return", cls=Command, rich_help_panel="Plan")(listed(homeward.point_of_no_return))
+app.command("import", cls=Command, rich_help_panel="Learn")(listed(logs.import_logs))
 app.add_typer(keys.keys, rich_help_panel="Serve")
 
 

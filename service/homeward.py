@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
+from joulemap.model.ranges import MOST_CHARGING
 from joulemap.planner.pricing.integrator import world_points
 from joulemap.planner.route import pieces_of, price_route
 from joulemap.planner.route_planner import RoutePlanner
@@ -20,11 +21,6 @@ from joulemap.planner.verdict.point_of_no_return import Bail, WaysFrom, last_pla
 from joulemap.planner.verdict.trajectory import course_of_pieces
 from joulemap.planner.words import energy_words, probability_words
 from joulemap.service.route_uncertainty import odds_of_energies
-
-CONFIDENCE = 0.95
-"""Probability with which the battery must last, unless another is asked for."""
-MOST_CHARGING = 16
-"""Most places to charge in one question."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +90,7 @@ def homeward(
     *,
     path: ArrayLike | None = None,
     charging: Sequence[tuple[float, float]] = (),
-    confidence: float | None = CONFIDENCE,
+    confidence: float | None = 0.95,
 ) -> Homeward:
     """Return until where a robot may follow the rest of its path and still come home.
 

@@ -9,6 +9,8 @@ from typing import Any
 from joulemap.model.battery import Battery
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import InputError
+from joulemap.model.ranges import OBJECTIVES
+from joulemap.model.ranges import QUANTILE as QUANTILES
 from joulemap.planner.answers import Plan
 from joulemap.planner.grid.stopping import check_stop
 from joulemap.planner.objectives.power_limit import within_power
@@ -23,14 +25,11 @@ from joulemap.planner.verdict.energy_distribution import EnergyOdds
 from joulemap.planner.verdict.trajectory import course_of
 from joulemap.service.route_uncertainty import odds_along
 
-MEAN, QUANTILE, ARRIVAL = OBJECTIVES = ("mean", "quantile", "arrival")
-"""Least expected energy, least energy at a quantile, most likely to arrive with the reserve."""
+MEAN, QUANTILE, ARRIVAL = OBJECTIVES
 _ON_DISK = (
     "{what} needs the whole cost map in memory, and this one is planned on from disk: leave it out, or make a cost map "
     "with a coarser spacing"
 )
-QUANTILES = 0.5, 0.99
-"""Least and greatest share of drives: beyond, the tails of the distribution are not known."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +52,10 @@ class Objective:
             raise InputError(
                 f"objective is {self.name!r}: give one of {', '.join(OBJECTIVES)}", objective=str(self.name)
             )
-        if not QUANTILES[0] <= self.quantile <= QUANTILES[1]:
+        if self.quantile not in QUANTILES:
             raise InputError(
-                f"quantile is {self.quantile}: give a share of drives from {QUANTILES[0]} to {QUANTILES[1]}, 0.95 for "
-                "energies that 95 % of them do not exceed",
+                f"quantile is {self.quantile}: give a share of drives from {QUANTILES.low} to {QUANTILES.high}, 0.95 "
+                "for energies that 95 % of them do not exceed",
                 quantile=self.quantile,
             )
 

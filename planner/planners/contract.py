@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from joulemap.planner.lattice import CostLattice
-from joulemap.planner.pricing.integrator import Points
-from joulemap.planner.pricing.moves import MoveTable
+if TYPE_CHECKING:  # names of planners are listed without what searches
+    from joulemap.planner.lattice import CostLattice
+    from joulemap.planner.pricing.integrator import Points
+    from joulemap.planner.pricing.moves import MoveTable
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from joulemap.planner.grid.search import GridPath, grid_search
-from joulemap.planner.lattice import CostLattice
 from joulemap.planner.planners.contract import Options, Planner
-from joulemap.planner.pricing.integrator import Points
-from joulemap.planner.pricing.moves import MoveTable
+
+if TYPE_CHECKING:  # names of planners are listed without what searches
+    from joulemap.planner.lattice import CostLattice
+    from joulemap.planner.pricing.integrator import Points
+    from joulemap.planner.pricing.moves import MoveTable
 
 
 def _astar(
     lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options
 ) -> tuple[Points, dict[str, Any]]:
-    return _answer(grid_search(lattice, table, start, goal, planner="astar"))
+    return _searched(lattice, table, start, goal, "astar")
 
 
 def _dijkstra(
     lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options
 ) -> tuple[Points, dict[str, Any]]:
-    return _answer(grid_search(lattice, table, start, goal, planner="dijkstra"))
+    return _searched(lattice, table, start, goal, "dijkstra")
 
 
-def _answer(found: GridPath) -> tuple[Points, dict[str, Any]]:
+def _searched(
+    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, planner: str
+) -> tuple[Points, dict[str, Any]]:
+    from joulemap.planner.grid.search import grid_search
+
+    found = grid_search(lattice, table, start, goal, planner=planner)
     return found.points, {"expanded": found.expanded, "grid_energy_j": found.energy_j}
 
 

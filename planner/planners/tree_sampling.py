@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import NoRouteError
-from joulemap.planner.grid.search import GridPath, grid_search
-from joulemap.planner.lattice import CostLattice
 from joulemap.planner.planners.contract import Options, Planner
-from joulemap.planner.pricing.integrator import Points, path_price
-from joulemap.planner.pricing.moves import MoveTable
 
-Found = tuple[Points, dict[str, Any]]
+if TYPE_CHECKING:  # names of planners are listed without what searches
+    from joulemap.planner.grid.search import GridPath
+    from joulemap.planner.lattice import CostLattice
+    from joulemap.planner.pricing.integrator import Points
+    from joulemap.planner.pricing.moves import MoveTable
+
+    Found = tuple[Points, dict[str, Any]]
 
 
 def _tree(lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options, *, name: str) -> Found:
@@ -49,6 +51,9 @@ def _from_grid(
     lattice: CostLattice, table: MoveTable, start: Points, goal: Points, improve: Callable[[GridPath], Found]
 ) -> Found:
     """The better of the grid's path and of what sampling makes of it."""
+    from joulemap.planner.grid.search import grid_search
+    from joulemap.planner.pricing.integrator import path_price
+
     grid = grid_search(lattice, table, start, goal)
     details: dict[str, Any] = {"grid_energy_j": grid.energy_j}
     try:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import httpx
 
+from joulemap.model.battery import Battery
 from joulemap.model.errors import BusyError, ConflictError
 from joulemap.model.frames import GridFrame
-from joulemap.service.client.answers import document_of, stranger
+from joulemap.service.client.answers import Answer, document_of, stranger
 from joulemap.service.client.connection import Connection
 from joulemap.service.coordinates import PlaceLike
+from joulemap.service.questions.asking import asks
+from joulemap.service.questions.parts import OnMap
+from joulemap.service.questions.reach import ReachOut, ReachRequest
 from joulemap.service.schemas.homeward import ReturnOut
 from joulemap.service.schemas.maps import AtOut, CostmapOut
 from joulemap.service.schemas.planning import FeasibilityOut, PathOut
-from joulemap.service.schemas.reach import ReachOut
 from joulemap.service.schemas.speeds import SpeedsOut
 from joulemap.service.schemas.tours import TourOut
 
@@ -160,6 +164,9 @@ class ServedCostMap:
         body = {"start": _sent(start), "goal": _sent(goal), **options}
         return self._file("paths", body, format, coordinates).content
 
+    def _ask(self, answer: type[Answer], question: str, wanted: OnMap) -> Answer:
+        return self._connection.ask(answer, "POST", f"{self._place}/{question}", json=_body(wanted))
+
     def tour_file(
         self, stops: Sequence[Point], *, format: str, coordinates: str | None = None, **options: Any
     ) -> bytes:
@@ -215,32 +222,14 @@ class ServedCostMap:
         body = {"stops": [_sent(stop) for stop in stops], **options}
         return self._connection.ask(TourOut, "POST", f"{self._place}/tours", json=body)
 
-    def reach(
-        self,
-        start: Point,
-        *,
-        charges: Sequence[float] | None = None,
-        battery: Mapping[str, Any] | None = None,
-        round_trip: bool = False,
-        confidence: float | None = None,
-        **options: Any,
-    ) -> ReachOut:
+    @asks(ReachRequest)
+    def reach(self, wanted: ReachRequest) -> ReachOut:
         """Say where the battery lasts to from a place, or where it lasts to and back.
 
         Parameters
         ----------
-        start : sequence of float
-            World x, y [m].
-        charges : sequence of float, optional
-            States of charge at the start, 0..1, each answered on its own; by default that of the battery.
-        battery : mapping, optional
-            `charge`, `reserve`, `capacity_wh` and more, as `joulemap.Battery` has them; by default the robot's, full.
-        round_trip : bool, optional
-            Whether it must come back, by the best way back.
-        confidence : float, optional
-            With what probability the battery is to last. By default the expected energy decides.
-        **options
-            Other fields of a request for reach: avoid, snap.
+        wanted : ReachRequest
+            Its fields are parameters of this method.
 
         Returns
         -------
@@ -252,15 +241,7 @@ class ServedCostMap:
         PointError, BlockedError
             As `CostMap.reach`.
         """
-        body = {
-            "start": _sent(start),
-            "charges": None if charges is None else list(charges),
-            "battery": None if battery is None else dict(battery),
-            "round_trip": round_trip,
-            "confidence": confidence,
-            **options,
-        }
-        return self._connection.ask(ReachOut, "POST", f"{self._place}/reach", json=body)
+        return self._ask(ReachOut, "reach", wanted)
 
     def feasibility(
         self,
@@ -409,6 +390,21 @@ class ServedCostMap:
             The file.
         """
         return self._connection.send("GET", f"{self._place}/data", params={"format": format}).content
+
+
+def _body(wanted: OnMap) -> dict[str, Any]:
+    """What is sent of a question: what was given, places as lists."""
+    return {name: _plain(getattr(wanted, name)) for name in wanted.model_fields_set}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Battery):
+        return {name: one for name, one in asdict(value).items() if one is not None}
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        return value
+    return [_plain(one) for one in (value.tolist() if hasattr(value, "tolist") else value)]
 
 
 def _sent(point: Any) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from joulemap.model.battery import Battery
 from joulemap.planner.areas.energy_map import EnergyMap, energy_map
@@ -11,51 +10,39 @@ from joulemap.planner.areas.reach_map import ReachMap
 from joulemap.planner.grid.fields import field_from, field_towards
 from joulemap.planner.places import end_point
 from joulemap.planner.pricing.moves import move_table
-from joulemap.service.homeward import CONFIDENCE, Homeward, homeward
+from joulemap.service.homeward import Homeward, homeward
 from joulemap.service.library.costmap_base import CostMapBase, Point
 from joulemap.service.places import Places
 from joulemap.service.point_costs import PointCosts, costs_at
-from joulemap.service.reach import reach_map
+from joulemap.service.questions import reach
+from joulemap.service.questions.asking import asks
+from joulemap.service.questions.reach import ReachRequest
 
 
 class AreaQuestions(CostMapBase):
     """What holds everywhere on a cost map, or at one place of it."""
 
+    @asks(ReachRequest, "charges")
     def reach(
         self,
-        start: Point,
+        wanted: ReachRequest,
         *,
         charge: float | Sequence[float] = 1.0,
         reserve: float = 0.0,
         capacity_wh: float | None = None,
-        battery: Battery | None = None,
-        round_trip: bool = False,
-        confidence: float | None = None,
-        avoid: Sequence[Sequence[Point]] = (),
-        snap: bool = False,
     ) -> ReachMap:
         """Say where the battery lasts to from a place, or where it lasts to and back.
 
         Parameters
         ----------
-        start : sequence of float
-            World x, y [m].
+        wanted : ReachRequest
+            Its fields are parameters of this method.
         charge : float or sequence of float, optional
             State of charge at the start, 0..1; several are answered one by one.
         reserve : float, optional
-            Share of the capacity that must remain, 0..1.
+            Share of the capacity that must remain, 0..1; a `battery` has its own.
         capacity_wh : float, optional
-            Energy of the full battery [Wh]. By default that of the robot.
-        battery : Battery, optional
-            Where more is known of it than its energy; capacity and reserve are its own then.
-        round_trip : bool, optional
-            Whether it must come back, by the best way back, which is not the way out.
-        confidence : float, optional
-            With what probability the battery is to last, 0.5..0.99. By default the expected energy decides.
-        avoid : sequence of sequence of points, optional
-            Areas that no route may touch: the corners of each, world x, y [m].
-        snap : bool, optional
-            Whether a start on blocked ground is moved to the nearest free place.
+            Energy of the full battery [Wh]; by default that of the robot, and a `battery` has its own.
 
         Returns
         -------
@@ -72,19 +59,8 @@ class AreaQuestions(CostMapBase):
             If the start lies on blocked ground, and `snap` is false.
         """
         charges = (charge,) if isinstance(charge, int | float) else tuple(charge)
-        full = self.robot.battery_wh if capacity_wh is None else capacity_wh
-        given = Battery(full, reserve=reserve) if battery is None else battery
-        places = Places(self._whole.frame)
-        found = reach_map(
-            self.planner.avoiding(places.areas(avoid)),
-            places(start, "start"),
-            given,
-            charges=charges,
-            confidence=confidence,
-            round_trip=round_trip,
-            snap=snap,
-        )
-        return replace(found, notes=(*places.notes, *found.notes))
+        battery = wanted.battery or {"reserve": reserve, "capacity_wh": capacity_wh or self.robot.battery_wh}
+        return reach.ask(self.planner, wanted.model_copy(update={"charges": charges, "battery": battery}))
 
     def homeward(
         self,
@@ -94,7 +70,7 @@ class AreaQuestions(CostMapBase):
         battery: Battery,
         path: Sequence[Point] | None = None,
         charging: Sequence[Point] = (),
-        confidence: float | None = CONFIDENCE,
+        confidence: float | None = 0.95,
     ) -> Homeward:
         """Say until where a robot may follow the rest of its path and still come home: the point of no return.
 

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from joulemap.model.battery import Battery
-from joulemap.model.robot import Robot
 from joulemap.planner.answers import Plan
 from joulemap.planner.route import Route
 from joulemap.planner.verdict.battery_trace import BatteryTrace
@@ -20,7 +18,6 @@ from joulemap.service.feasibility import Assessment
 from joulemap.service.problems import jsonable
 from joulemap.service.route_uncertainty import odds_along, quantiles_of_route
 from joulemap.service.schemas.planning import (
-    BatteryIn,
     PieceOut,
     VerdictOut,
 )
@@ -28,26 +25,6 @@ from joulemap.service.words import verdict_words
 
 BAND = 0.05, 0.95
 """Nine of ten drives end between these quantiles."""
-
-
-def battery_of(request: BatteryIn | None, robot: Robot) -> Battery:
-    """Return the battery of a request.
-
-    Parameters
-    ----------
-    request : BatteryIn or None
-        What was sent.
-    robot : Robot
-        Whose battery it is where the request does not say.
-
-    Returns
-    -------
-    Battery
-        With its capacity [Wh].
-    """
-    given = request or BatteryIn()
-    values = given.model_dump(exclude_none=True)
-    return Battery(**{"capacity_wh": robot.battery_wh} | values)
 
 
 def verdict_out(verdict: Verdict) -> VerdictOut:

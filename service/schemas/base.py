@@ -18,6 +18,7 @@ from pydantic import (
     ModelWrapValidatorHandler,
     ValidationError,
     ValidatorFunctionWrapHandler,
+    WrapValidator,
     create_model,
     model_validator,
 )
@@ -194,6 +195,7 @@ def quick_points(points: Any, validate: Callable[[Any], Any]) -> Any:
     return array.astype(np.float64, copy=False)
 
 
+GivenPath = Annotated[list[PathPlace], Field(fail_fast=True), WrapValidator(quick_points)]
 Point3 = Annotated[
     list[float | None], Field(min_length=3, max_length=3, description="world [x, y, z] [m]; z null where unknown")
 ]

@@ -4,41 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import Field, WrapValidator
+from pydantic import Field
 
 from joulemap.planner.verdict.point_of_no_return import Bail
-from joulemap.service.homeward import CONFIDENCE, MOST_CHARGING, Homeward
-from joulemap.service.schemas.base import Areas, PathPlace, Place, Request, ResponseModel, RobotIn, quick_points
-from joulemap.service.schemas.planning import BatteryIn, PlaceOut
-
-
-class ReturnRequest(Request):
-    """Where the robot is, what is left of its path and its charge, and where home is."""
-
-    position: Place = Field(examples=[[40.0, 30.0]])
-    home: Place = Field(examples=[[12.5, 40.5]])
-    path: Annotated[list[PathPlace], Field(fail_fast=True), WrapValidator(quick_points)] | None = Field(
-        default=None,
-        min_length=1,
-        max_length=100_000,
-        description="the rest of the path, world points [m], in order; without it, only whether it still comes home",
-    )
-    charging: list[Place] = Field(
-        default=[], max_length=MOST_CHARGING, description="places to charge", examples=[[[60.0, 20.0]]]
-    )
-    battery: BatteryIn | None = Field(
-        default=None, description="with the charge now; default: the robot's own, full, without a reserve"
-    )
-    confidence: float | None = Field(
-        default=CONFIDENCE,
-        ge=0.5,
-        le=0.99,
-        description="probability with which the battery must last; null where the expected energy decides",
-    )
-    avoid: Areas = Field(default=[])
-    robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
+from joulemap.service.homeward import Homeward
+from joulemap.service.schemas.base import ResponseModel
+from joulemap.service.schemas.planning import PlaceOut
 
 
 class BailOut(ResponseModel):

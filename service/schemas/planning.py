@@ -1,25 +1,12 @@
-"""Questions to a cost map, paths and verdicts, and their answers: every field with its unit."""
+"""Answers to questions about routes: every field with its unit."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import Field, ValidationInfo, WrapValidator, field_validator, model_validator
+from pydantic import Field
 
-from joulemap.model.ranges import BATTERY, BATTERY_CURVES, CURVE_POINTS, SEARCH_S, Range
-from joulemap.planner.route_planner import PLANNERS
-from joulemap.service.schemas.base import (
-    Areas,
-    PathPlace,
-    Place,
-    Point3,
-    Request,
-    ResponseModel,
-    RobotIn,
-    quick_points,
-    within,
-)
-from joulemap.service.schemas.objectives import ObjectiveOut, WeighedRequest
+from joulemap.service.schemas.base import Point3, ResponseModel
 
 _UNKNOWN = "null where the model does not know its uncertainty"
 _STD = Field(description=f"standard deviation of energy_j [J]; {_UNKNOWN}", examples=[1234.5])
@@ -29,104 +16,25 @@ _P05, _P50, _P95 = (
 )
 
 
-def _curve_of(name: str) -> Any:
-    """The type of a battery's curve: points of two numbers, within the bounds of either."""
-    at, value = BATTERY_CURVES[name]
-    number = Annotated[float, within(Range(min(at.low, value.low), max(at.high, value.high)))]
-    return list[Annotated[list[number], Field(min_length=2, max_length=2)]]
+class ObjectiveOut(ResponseModel):
+    """How a route does by its objective, beside the route of least expected energy."""
 
-
-class BatteryIn(Request):
-    """A battery. What is left out is as in the robot's own battery, full and without a reserve.
-
-    With capacity, charge, reserve, health and temperature alone, a verdict counts energy. Once one of `open_circuit_v`,
-    `resistance_ohm`, `cutoff_v` and `max_power_w` is given, it counts losses inside the battery and its voltage under
-    the power of every metre too.
-    """
-
-    capacity_wh: Annotated[float, within(BATTERY["capacity_wh"])] | None = Field(
-        default=None, description="energy when full [Wh]", examples=[280.0]
+    name: Literal["quantile", "arrival"] = Field(description="of the objective")
+    quantile: float | None = Field(description="share of drives; null for arrival")
+    quantile_j: float | None = Field(description="energy that this share of drives does not exceed [J]; null as above")
+    mean_quantile_j: float | None = Field(
+        description="the same on the route of least expected energy [J], never less; null as above"
     )
-    charge: Annotated[float, within(BATTERY["charge"])] = Field(
-        default=1.0,
-        description="state of charge at the start, 0..1 (0.6 is 60 %)",
-        examples=[0.8],
+    probability: float | None = Field(description="that the battery lasts, with its tails; null for quantile")
+    mean_probability: float | None = Field(
+        description="the same on the route of least expected energy, never more; null as above"
     )
-    reserve: Annotated[float, within(BATTERY["reserve"])] = Field(
-        default=0.0,
-        description="share of the capacity that must remain at the end, 0..1",
-        examples=[0.2],
+    gap: float | None = Field(
+        description="by how much a better route may be better: as a share of the energy, or as a difference of "
+        "probabilities, if every search found its cheapest route and the variance of a route is that of its metres; "
+        "null where nothing is known"
     )
-
-    health: Annotated[float, within(BATTERY["health"])] = Field(
-        default=1.0, description="share of the capacity that age has left, 0.05..1"
-    )
-    temperature_c: Annotated[float, within(BATTERY["temperature_c"])] | None = Field(
-        default=None, description="temperature of the battery [degC]; below 15 degC it needs `capacity_curve`"
-    )
-    capacity_curve: _curve_of("capacity_curve") | None = Field(  # type: ignore[valid-type]
-        default=None,
-        min_length=2,
-        max_length=CURVE_POINTS,
-        description="points [temperature in degC, share of the capacity that the battery gives there], ascending",
-        examples=[[[-20.0, 0.6], [0.0, 0.85], [20.0, 1.0]]],
-    )
-    nominal_voltage_v: Annotated[float, within(BATTERY["nominal_voltage_v"])] | None = Field(
-        default=None, description="nominal voltage [V]; default: that of the robot"
-    )
-    open_circuit_v: _curve_of("open_circuit_v") | None = Field(  # type: ignore[valid-type]
-        default=None,
-        min_length=2,
-        max_length=CURVE_POINTS,
-        description="points [state of charge, voltage without a load in V] from 0 to 1, ascending; default: the curve "
-        "of a plain lithium-ion pack of the nominal voltage",
-        examples=[[[0.0, 21.0], [0.2, 26.5], [1.0, 33.2]]],
-    )
-    resistance_ohm: Annotated[float, within(BATTERY["resistance_ohm"])] | None = Field(
-        default=None, description="internal resistance of the pack [ohm]; default: that of a plain pack"
-    )
-    cutoff_v: Annotated[float, within(BATTERY["cutoff_v"])] | None = Field(
-        default=None, description="voltage under load below which the robot switches off [V]; default: a plain pack's"
-    )
-    max_power_w: Annotated[float, within(BATTERY["max_power_w"])] | None = Field(
-        default=None, description="most power that the battery gives [W]; default: no limit of its own"
-    )
-
-    @field_validator("charge", "reserve", "health", mode="before")
-    @classmethod
-    def _no_percentage(cls, value: Any, info: ValidationInfo) -> Any:
-        if isinstance(value, int | float) and 1 < value <= 100:
-            raise ValueError(
-                f"{info.field_name} is {value:g}; it lies between 0 and 1: for {value:g} % write {value / 100:g}"
-            )
-        return value
-
-
-class PathRequest(WeighedRequest):
-    """From where to where, and how to search."""
-
-    start: Place = Field(examples=[[12.5, 40.5]])
-    goal: Place = Field(examples=[[80.0, 15.0]])
-    planner: Literal[PLANNERS] = Field(default="astar", description="the sampling planners use the whole time limit")  # type: ignore[valid-type]
-    neighbours: Literal[8, 16, 32] = Field(
-        default=16, description="moves per cell of the grid planners without `refine`; with it they are 32"
-    )
-    refine: bool = Field(default=True, description="shorten the grid path where it need not follow the grid")
-    time_limit_s: Annotated[float, within(SEARCH_S)] = Field(
-        default=5.0, description="how long the sampling planners search [s]"
-    )
-    seed: int = Field(default=0, ge=0, le=2**31 - 1, description="seed of the sampling planners")
-    alternatives: int = Field(default=0, ge=0, le=10, description="most other good paths to look for")
-    bound: bool = Field(
-        default=False, description="search for a sharper `bound_j`, which takes some seconds once per cost map"
-    )
-    snap: bool = Field(
-        default=False,
-        description="move a start or goal on blocked ground to the nearest free place; a warning says where that is",
-    )
-    avoid: Areas = Field(default=[])
-    battery: BatteryIn | None = Field(default=None, description="given: the answer says whether this battery lasts")
-    robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
+    searches: int = Field(ge=1, description="number of prices of uncertainty that were searched")
 
 
 class PieceOut(ResponseModel):
@@ -248,37 +156,6 @@ class PathOut(RouteOut):
     details: dict[str, Any] = Field(description="how the path was found")
     warnings: list[str]
     crs: str | None
-
-
-class FeasibilityRequest(WeighedRequest):
-    """A task, either a path or start and goal, and a battery."""
-
-    path: Annotated[list[PathPlace], Field(fail_fast=True), WrapValidator(quick_points)] | None = Field(
-        default=None, min_length=2, max_length=100_000, description="world points [m], in order"
-    )
-    start: Place | None = Field(default=None, examples=[[12.5, 40.5]])
-    goal: Place | None = Field(default=None, examples=[[80.0, 15.0]])
-    snap: bool = Field(
-        default=False,
-        description="move a start or goal on blocked ground to the nearest free place; a warning says where that is. A "
-        "given path is never moved",
-    )
-    round_trip: bool = Field(
-        default=False, description="also drive back: a given path in reverse, else the best way back"
-    )
-    avoid: Areas = Field(default=[])
-    battery: BatteryIn | None = Field(default=None, description="default: the robot's own, full, without a reserve")
-    profile: bool = Field(default=False, description="also answer charge and voltage along the way")
-    robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
-
-    @model_validator(mode="after")
-    def _one_task(self) -> FeasibilityRequest:
-        ends = (self.start is not None) + (self.goal is not None)
-        if (self.path is None and ends < 2) or (self.path is not None and ends > 0):
-            raise ValueError("give either `path`, or `start` and `goal`")
-        if self.path is not None and (self.objective != "mean" or self.max_power_w is not None):
-            raise ValueError("`objective` and `max_power_w` choose a path: give `start` and `goal` in place of `path`")
-        return self
 
 
 class BatteryPieceOut(ResponseModel):

@@ -3,34 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import Field, WrapValidator, model_validator
+from pydantic import Field
 
 from joulemap.planner.route import Route
 from joulemap.service.schemas.answers import path_points
-from joulemap.service.schemas.base import Areas, PathPlace, Place, Point3, Request, ResponseModel, RobotIn, quick_points
+from joulemap.service.schemas.base import Point3, ResponseModel
 from joulemap.service.speeds import Speeds
-
-
-class SpeedsRequest(Request):
-    """A route: either a path, or start and goal."""
-
-    path: Annotated[list[PathPlace], Field(fail_fast=True), WrapValidator(quick_points)] | None = Field(
-        default=None, min_length=2, max_length=5_000, description="world points [m], in order"
-    )
-    start: Place | None = Field(default=None, examples=[[12.5, 40.5]])
-    goal: Place | None = Field(default=None, examples=[[80.0, 15.0]])
-    snap: bool = Field(default=False, description="move a start or goal on blocked ground to the nearest free place")
-    avoid: Areas = Field(default=[])
-    robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
-
-    @model_validator(mode="after")
-    def _one_task(self) -> SpeedsRequest:
-        ends = (self.start is not None) + (self.goal is not None)
-        if (self.path is None and ends < 2) or (self.path is not None and ends > 0):
-            raise ValueError("give either `path`, or `start` and `goal`")
-        return self
 
 
 class AtSpeedOut(ResponseModel):

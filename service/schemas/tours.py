@@ -2,42 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any
 
 from pydantic import Field
 
-from joulemap.model.ranges import SEARCH_S
 from joulemap.planner.answers import RoundTrip
-from joulemap.planner.questions.tours import MAX_STOPS
 from joulemap.planner.verdict.budget import Verdict
 from joulemap.service.route_uncertainty import quantiles_of_route
 from joulemap.service.schemas.answers import profile_pieces, route_values, verdict_out
-from joulemap.service.schemas.base import Areas, Place, Request, RobotIn, within
-from joulemap.service.schemas.planning import BatteryIn, PieceOut, RouteOut, VerdictOut
-
-
-class TourRequest(Request):
-    """Places to visit, and how to search. The service finds the order."""
-
-    stops: list[Place] = Field(
-        min_length=2,
-        max_length=MAX_STOPS,
-        description="places to visit, world [x, y] [m]; the first is where the tour begins and ends",
-        examples=[[[12.5, 40.5], [80.0, 15.0], [60.0, 50.0]]],
-    )
-    neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell of the search")
-    refine: bool = Field(default=True, description="shorten the legs where they need not follow the grid")
-    snap: bool = Field(
-        default=False, description="move stops on blocked ground to the nearest free place; warnings say where that is"
-    )
-    time_limit_s: Annotated[float, within(SEARCH_S)] = Field(
-        default=10.0, description="longest time for proving that the order is the best one [s]"
-    )
-    avoid: Areas = Field(default=[])
-    battery: BatteryIn | None = Field(
-        default=None, description="given: the answer says whether this battery lasts for the whole tour"
-    )
-    robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
+from joulemap.service.schemas.planning import PieceOut, RouteOut, VerdictOut
 
 
 class TourOut(RouteOut):

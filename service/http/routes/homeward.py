@@ -13,8 +13,9 @@ from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.places import Places
-from joulemap.service.schemas.answers import battery_of
-from joulemap.service.schemas.homeward import ReturnOut, ReturnRequest, homeward_out
+from joulemap.service.questions.homeward import ReturnRequest
+from joulemap.service.questions.parts import battery_of
+from joulemap.service.schemas.homeward import ReturnOut, homeward_out
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"], route_class=QuickJsonRoute)
 

@@ -21,9 +21,13 @@ from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, route_file_wanted
 from joulemap.service.objectives import limited, plan_by
 from joulemap.service.places import Places
-from joulemap.service.schemas.answers import battery_of, feasibility_values, path_values, verdict_out
-from joulemap.service.schemas.planning import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest
-from joulemap.service.schemas.tours import TourOut, TourRequest, tour_out
+from joulemap.service.questions.feasibility import FeasibilityRequest
+from joulemap.service.questions.parts import battery_of
+from joulemap.service.questions.path import PathRequest
+from joulemap.service.questions.tour import TourRequest
+from joulemap.service.schemas.answers import feasibility_values, path_values, verdict_out
+from joulemap.service.schemas.planning import FeasibilityOut, PathOut
+from joulemap.service.schemas.tours import TourOut, tour_out
 
 _QUICK = 1_000  # points: the verdict is there sooner than a client can hang up
 

@@ -17,10 +17,8 @@ from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.http.route_files import Coordinates
 from joulemap.service.pictures import reach_image
-from joulemap.service.places import Places
-from joulemap.service.reach import reach_map
-from joulemap.service.schemas.answers import battery_of
-from joulemap.service.schemas.reach import ReachOut, ReachRequest, reach_geojson, reach_out
+from joulemap.service.questions import reach
+from joulemap.service.questions.reach import ReachOut, ReachRequest, reach_geojson
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"], route_class=QuickJsonRoute)
 GEOJSON, TIFF, PNG = "application/geo+json", "image/tiff", "image/png"
@@ -50,28 +48,19 @@ async def find_reach(
         raise InputError("`coordinates` is for format=geojson: leave it out", coordinates=coordinates)
 
     def _find() -> Response:
-        battery = battery_of(wanted.battery, same_robot(row, wanted.robot))
+        same_robot(row, wanted.robot)
         with service.maps.for_routes(costmap_id) as planner:
-            places = Places(planner.lattice.frame)
             if format == "geojson" and coordinates != "map":
-                known_crs(places.frame.crs)
-            found = reach_map(
-                planner.avoiding(places.areas(wanted.avoid)),
-                places(wanted.start, "start"),
-                battery,
-                charges=wanted.charges,
-                confidence=wanted.confidence,
-                round_trip=wanted.round_trip,
-                snap=wanted.snap,
-            )
-            warnings = [*places.notes, *warnings_of(row)]
+                known_crs(planner.lattice.frame.crs)
+            found = reach.ask(planner, wanted)
+            warnings = warnings_of(row)
             if format == "png":
                 return _file(reach_image(planner.lattice, found), PNG, f"{costmap_id}-reach.png")
         if format == "geotiff":
             return _file(found.geotiff(), TIFF, f"{costmap_id}-reach.tif")
         if format == "geojson":
             return JSONResponse(reach_geojson(found, warnings, coordinates=coordinates or "wgs84"), media_type=GEOJSON)
-        return answer_of(reach_out(found, warnings))
+        return answer_of(reach.answer(found, warnings))
 
     return await while_connected(request, service.plans.do(costmap_id, _find))
 

@@ -13,7 +13,8 @@ from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.places import Places
-from joulemap.service.schemas.speeds import SpeedsOut, SpeedsRequest, speeds_out
+from joulemap.service.questions.speeds import SpeedsRequest
+from joulemap.service.schemas.speeds import SpeedsOut, speeds_out
 from joulemap.service.speeds import speeds_along
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"], route_class=QuickJsonRoute)

@@ -1,0 +1,199 @@
+"""Options of commands that are read from a request: a field is an option, with its name, type, default and meaning.
+
+A command has a parameter `wanted: Annotated[Wanted, "MODULE:REQUEST"]`. In its place come the options. Places are typed
+as X,Y; areas and paths come from files, and so does what is known of a battery beside its charge. pydantic loads
+slowly, so requests are imported when one command is asked for, and not when all of them are listed.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
+
+import typer
+
+from joulemap.service.commands.arguments import Command
+from joulemap.service.commands.battery_file import BatteryFile, battery_values
+from joulemap.service.commands.console import PlainErrors, parse_point, parse_share
+from joulemap.service.commands.options import there
+from joulemap.service.commands.route_files import PLACE
+from joulemap.service.words import capital
+
+if TYPE_CHECKING:
+    from joulemap.model.frames import GridFrame
+    from joulemap.service.questions.fields import Field
+    from joulemap.service.questions.parts import OnMap
+
+_TYPES = {"integer": int, "number": float, "string": str, "boolean": bool, "array": list}
+_METAVARS = {"m": "M", "s": "S", "w": "W", "wh": "WH", "percent": "PERCENT"}  # by the unit that a name ends with
+_NAMES = {"charges": "charge", "stops": "stop", "round_trip": "return"}
+"""Options whose name is not that of their field; `--round-trip` is known too."""
+_FILES = {
+    "avoid": "GeoJSON with areas (polygons) that no route may touch.",
+    "path": "A path: GeoJSON, GPX, KML, a mission (.plan, .waypoints), the JSON of `joulemap path` or `tour`, or CSV "
+    "with lines x,y. Several lines are driven one after another.",
+}
+_OF_BATTERY = ("charge", "reserve", "capacity_wh")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The fields of a request as they were typed."""
+
+    typed: dict[str, Any]
+
+    def on(self, frame: GridFrame) -> tuple[dict[str, Any], list[str]]:
+        """The fields on a map, as the Python package takes them, and notes of files that had to be interpreted."""
+        from joulemap.service.commands.path_files import read_areas, read_path
+
+        values, notes = dict(self.typed), list[str]()
+        for name, read in (("path", read_path), ("avoid", read_areas)):
+            if values.get(name) is not None:
+                values[name], more = read(values[name], frame)
+                notes += more
+        return {name: value for name, value in values.items() if value is not None}, notes
+
+
+class Commands(PlainErrors):
+    """The commands of `joulemap`, of which only the one that is asked for is made with its options."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._whole: dict[str, Any] = {}
+        self._listing = False
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help of the group."""
+        self._listing = True
+        super().format_help(ctx, formatter)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of a name."""
+        command: Any = super().get_command(ctx, cmd_name)
+        function = getattr(command and command.callback, "whole", None)
+        if self._listing or function is None:
+            return command
+        if cmd_name not in self._whole:
+            alone = typer.Typer(add_completion=False, rich_markup_mode="markdown", pretty_exceptions_enable=False)
+            alone.command(cmd_name, cls=Command, context_settings=command.context_settings)(with_options(function))
+            self._whole[cmd_name] = typer.main.get_command(alone)
+        return self._whole[cmd_name]
+
+
+def listed(command: Callable[..., None]) -> Callable[[], None]:
+    """A command without its options, for the list of commands."""
+
+    def _listed() -> None:
+        raise AssertionError("the group makes the command with its options")
+
+    _listed.__name__, _listed.__doc__ = command.__name__, command.__doc__
+    _listed.whole = command  # type: ignore[attr-defined]
+    return _listed
+
+
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """A command with the options of its requests."""
+    hints = get_type_hints(command, include_extras=True)
+    parameters: list[inspect.Parameter] = []
+    asked: dict[str, list[str]] = {}
+    for name, parameter in inspect.signature(command).parameters.items():
+        kind = hints[name]
+        if get_origin(kind) is Annotated and get_args(kind)[0] is Wanted:
+            module, _, request = get_args(kind)[1].partition(":")
+            options = list(_options_of(getattr(import_module(module), request)))
+            asked[name] = [option.name for option in options]
+            parameters += options
+        else:
+            parameters.append(parameter.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY))
+
+    def _command(**given: Any) -> None:
+        wanted = {name: Wanted(_joined({key: given.pop(key) for key in keys})) for name, keys in asked.items()}
+        command(**wanted, **given)
+
+    _command.__name__, _command.__doc__ = command.__name__, command.__doc__
+    _command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    _command.__annotations__ = {one.name: one.annotation for one in parameters}
+    return _command
+
+
+def _joined(typed: dict[str, Any]) -> dict[str, Any]:
+    """Options as fields: those of the battery are one."""
+    if "battery" not in typed:
+        return typed
+    state = {name: typed.pop(name) for name in ("charge", "reserve") if name in typed}
+    return {**typed, "battery": {**battery_values(typed["battery"], typed.pop("capacity_wh")), **state}}
+
+
+def _options_of(request: type[OnMap]) -> Iterator[inspect.Parameter]:
+    from joulemap.service.questions.fields import fields_of, value_of
+
+    needed, others = fields_of(request)
+    fields = needed | others
+    for name, field in fields.items():
+        if name in _FILES:
+            file = typer.Option(f"--{name}", metavar="FILE", callback=there, help=_FILES[name])
+            yield _parameter(name, Annotated[Path | None, file], None)
+        elif name == "charges":  # several shares, and with them the charge of the battery
+            option = typer.Option("--charge", metavar="0..1[,0..1...]", parser=_shares, help=_sentence(field, fields))
+            yield _parameter(name, Annotated[Any, option], "1.0")
+        elif name == "battery":
+            known = value_of(field)["properties"]
+            own = [one for one in _OF_BATTERY if one != "charge" or "charges" not in fields]
+            yield from (_option(one, known[one], fields) for one in own)
+            yield _parameter(name, BatteryFile, None)
+        else:
+            yield _option(name, field, fields, needed=name in needed)
+
+
+def _option(name: str, field: Field, fields: Mapping[str, Field], *, needed: bool = False) -> inspect.Parameter:
+    """The option of a number, a text, a flag, a place or a list of places."""
+    from joulemap.service.questions.fields import is_place, value_of
+
+    value, flag = value_of(field), _flag(name)
+    kind: Any = _TYPES[value["type"]]
+    names, default = [flag], ... if needed else field.get("default")
+    words: dict[str, Any] = {"help": _sentence(field, fields)}
+    low, high = value.get("minimum"), value.get("maximum")
+    if kind is list:
+        several, default = not is_place(value), default or None
+        words = {"metavar": "X,Y..." if several else "X,Y", "parser": parse_point, "help": f"{capital(name)}: {PLACE}."}
+        kind = list[Any] if several else Any
+    elif kind is bool:
+        names = [f"{flag}/--no-{flag[2:]}"] if default else [flag, *(["--round-trip"] if name == "round_trip" else ())]
+    elif (low, high) == (0.0, 1.0):
+        words |= {"metavar": "0..1", "parser": parse_share}
+    elif kind in (int, float):
+        share = high is not None and high <= 1.0  # the upper ends of others protect a service that many share
+        words |= {"min": low, "max": high if share else None}
+        words["metavar"] = "0..1" if share else "N" if kind is int else _METAVARS.get(name.rpartition("_")[2], "NUMBER")
+    if default is None and kind is not Any:
+        kind = kind | None
+    return _parameter(name, Annotated[kind, typer.Option(*names, **words)], default)
+
+
+def _flag(name: str) -> str:
+    """The option of a field; a unit in its name is in its help."""
+    short = re.sub(r"_[msw]$", "", _NAMES.get(name, name))
+    return f"--{short.replace('_', '-')}"
+
+
+def _sentence(field: Field, fields: Mapping[str, Field]) -> str:
+    """The meaning of a field, which calls other fields by their options."""
+    words = re.sub(r"`(\w+)`", lambda found: _flag(found[1]) if found[1] in fields else found[0], field["description"])
+    return f"{capital(words)}."
+
+
+def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    empty = inspect.Parameter.empty
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=empty if default is ... else default
+    )
+
+
+def _shares(text: Any) -> Any:
+    return tuple(parse_share(part) for part in text.split(",")) if isinstance(text, str) else text

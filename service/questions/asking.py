@@ -1,0 +1,73 @@
+"""Methods whose parameters are the fields of a request, for the Python package and the client."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import textwrap
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar
+
+from joulemap.service.questions.fields import Field, fields_of, is_place, value_of
+from joulemap.service.questions.parts import OnMap
+
+Answer = TypeVar("Answer")
+_TYPES = {"integer": "int", "number": "float", "string": "str", "boolean": "bool", "object": "Battery"}
+_WANTED = re.compile(r"^wanted : .*\n(?:    .*\n)+", re.M)
+
+
+def asks(request: type[OnMap], *without: str) -> Callable[[Callable[..., Answer]], Callable[..., Answer]]:
+    """Give a method the fields of a request, but for some, as parameters in the place of its parameter `wanted`.
+
+    Those that must be given come first, and the others are given by name. `help` and the signature show all of them,
+    with the meanings that the request gives them.
+    """
+    needed, others = ({n: f for n, f in some.items() if n not in without} for some in fields_of(request))
+    fields = needed | others
+    first = [
+        inspect.Parameter(n, inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=_type_of(f)) for n, f in needed.items()
+    ]
+    by_name = [
+        inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=request.model_fields[name].default,
+            annotation=_type_of(field),
+        )
+        for name, field in others.items()
+    ]
+
+    def _asking(method: Callable[..., Answer]) -> Callable[..., Answer]:
+        plain = inspect.signature(method)
+        me, _, *own = plain.parameters.values()
+        signature = plain.replace(parameters=[me, *first, *by_name, *own])
+
+        @wraps(method)
+        def _method(*args: Any, **given: Any) -> Answer:
+            bound = signature.bind(*args, **given).arguments
+            wanted = request.told(**{name: bound.pop(name) for name in fields if name in bound})
+            return method(bound.pop(me.name), wanted, **bound)
+
+        _method.__signature__ = signature  # type: ignore[attr-defined]
+        entries = "".join(_described(name, field, needed=name in needed) for name, field in fields.items())
+        _method.__doc__ = _WANTED.sub(lambda _: entries, inspect.getdoc(method) or "")
+        return _method
+
+    return _asking
+
+
+def _described(name: str, field: Field, *, needed: bool) -> str:
+    """A field in numpydoc's form."""
+    words = field["description"][:1].upper() + field["description"][1:] + "."
+    text = textwrap.fill(words, 110, initial_indent="    ", subsequent_indent="    ")
+    return f"{name} : {_type_of(field)}{'' if needed else ', optional'}\n{text}\n"
+
+
+def _type_of(field: Field) -> str:
+    """The type of a field, in words of Python."""
+    value = value_of(field)
+    if is_place(value):
+        return "Point"
+    kind = f"Sequence[{_type_of(value['items'])}]" if value["type"] == "array" else _TYPES[value["type"]]
+    return f"{kind} | None" if {"type": "null"} in field.get("anyOf", ()) else kind
