@@ -41,6 +41,8 @@ class Homeward:
         Energy above the reserve now [J].
     length_m : float
         Length of the rest of the path [m].
+    notes : tuple of str
+        What the user should know of the places.
     """
 
     home: Bail
@@ -49,6 +51,7 @@ class Homeward:
     path_j: float
     available_j: float
     length_m: float
+    notes: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:

@@ -15,8 +15,13 @@ from joulemap.service.client.answers import Answer, document_of, stranger
 from joulemap.service.client.connection import Connection
 from joulemap.service.coordinates import PlaceLike
 from joulemap.service.questions.asking import asks
+from joulemap.service.questions.feasibility import FeasibilityRequest
+from joulemap.service.questions.homeward import ReturnRequest
 from joulemap.service.questions.parts import OnMap
+from joulemap.service.questions.path import PathRequest
 from joulemap.service.questions.reach import ReachOut, ReachRequest
+from joulemap.service.questions.speeds import SpeedsRequest
+from joulemap.service.questions.tour import TourRequest
 from joulemap.service.schemas.homeward import ReturnOut
 from joulemap.service.schemas.maps import AtOut, CostmapOut
 from joulemap.service.schemas.planning import FeasibilityOut, PathOut
@@ -74,18 +79,16 @@ class ServedCostMap:
     def _place(self) -> str:
         return f"/v1/costmaps/{self.id}"
 
-    def plan(self, start: Point, goal: Point, *, progress: Progress | None = None, **options: Any) -> PathOut:
+    @asks(PathRequest)
+    def plan(self, wanted: PathRequest, *, progress: Progress | None = None) -> PathOut:
         """Find the route of least energy, and the shortest one beside it.
 
         Parameters
         ----------
-        start, goal : sequence of float or mapping
-            World x, y [m]; or latitude, longitude, as `joulemap.service.coordinates.world_point` reads them.
+        wanted : PathRequest
+            Its fields are parameters of this method.
         progress : callable, optional
             Called with the share done, 0..1.
-        **options
-            Other fields of a path request: planner, neighbours, refine, alternatives, snap, bound,
-            time_limit_s, seed, battery, objective, quantile and max_power_w.
 
         Returns
         -------
@@ -97,26 +100,24 @@ class ServedCostMap:
         PointError, BlockedError, NoRouteError
             As `CostMap.plan`.
         """
-        body = {"start": _sent(start), "goal": _sent(goal), **options}
         if progress is None:
-            return self._connection.ask(PathOut, "POST", f"{self._place}/paths", json=body)
-        for name, document in self._connection.events(f"{self._place}/paths", body):
+            return self._ask(PathOut, "paths", wanted)
+        for name, document in self._connection.events(f"{self._place}/paths", _body(wanted)):
             if name == "answer":
                 return PathOut.model_validate(document)
             progress(float(document))
         raise BusyError("the connection ended before the answer came", url=self._connection.url)
 
-    def plan_geojson(self, start: Point, goal: Point, *, coordinates: str = "wgs84", **options: Any) -> dict[str, Any]:
+    @asks(PathRequest)
+    def plan_geojson(self, wanted: PathRequest, *, coordinates: str = "wgs84") -> dict[str, Any]:
         """Find the same routes, as GeoJSON.
 
         Parameters
         ----------
-        start, goal : sequence of float or mapping
-            As in `plan`.
+        wanted : PathRequest
+            Its fields are parameters of this method.
         coordinates : str, optional
             "wgs84" (longitude, latitude [degrees]) or "map" (x, y [m] in the CRS of the map).
-        **options
-            As in `plan`.
 
         Returns
         -------
@@ -128,28 +129,24 @@ class ServedCostMap:
         InputError
             If the map has no CRS, and degrees are wanted.
         """
-        body = {"start": _sent(start), "goal": _sent(goal), **options}
-        answer = self._file("paths", body, "geojson", coordinates)
+        answer = self._file("paths", wanted, "geojson", coordinates)
         lines = document_of(answer.content)
         if lines.get("type") != "FeatureCollection":
             raise stranger(answer, "no GeoJSON")
         return lines
 
-    def plan_file(
-        self, start: Point, goal: Point, *, format: str, coordinates: str | None = None, **options: Any
-    ) -> bytes:
+    @asks(PathRequest)
+    def plan_file(self, wanted: PathRequest, *, format: str, coordinates: str | None = None) -> bytes:
         """Find the same routes, as a file for another program.
 
         Parameters
         ----------
-        start, goal : sequence of float or mapping
-            As in `plan`.
+        wanted : PathRequest
+            Its fields are parameters of this method.
         format : str
             "gpx", "qgc-plan", ...: a name of `joulemap.service.exports.routes.ROUTE_FORMATS`.
         coordinates : str, optional
             Of GeoJSON, "wgs84" or "map".
-        **options
-            As in `plan`.
 
         Returns
         -------
@@ -161,27 +158,20 @@ class ServedCostMap:
         InputError
             If the map has no CRS and the format needs degrees.
         """
-        body = {"start": _sent(start), "goal": _sent(goal), **options}
-        return self._file("paths", body, format, coordinates).content
+        return self._file("paths", wanted, format, coordinates).content
 
-    def _ask(self, answer: type[Answer], question: str, wanted: OnMap) -> Answer:
-        return self._connection.ask(answer, "POST", f"{self._place}/{question}", json=_body(wanted))
-
-    def tour_file(
-        self, stops: Sequence[Point], *, format: str, coordinates: str | None = None, **options: Any
-    ) -> bytes:
+    @asks(TourRequest)
+    def tour_file(self, wanted: TourRequest, *, format: str, coordinates: str | None = None) -> bytes:
         """Find the same tour as `tour`, as a file for another program.
 
         Parameters
         ----------
-        stops : sequence of points
-            As in `tour`.
+        wanted : TourRequest
+            Its fields are parameters of this method.
         format : str
             As in `plan_file`.
         coordinates : str, optional
             Of GeoJSON, "wgs84" or "map".
-        **options
-            As in `tour`.
 
         Returns
         -------
@@ -193,21 +183,23 @@ class ServedCostMap:
         InputError
             If the map has no CRS and the format needs degrees.
         """
-        return self._file("tours", {"stops": [_sent(stop) for stop in stops], **options}, format, coordinates).content
+        return self._file("tours", wanted, format, coordinates).content
 
-    def _file(self, question: str, body: dict[str, Any], format: str, coordinates: str | None) -> httpx.Response:
+    def _ask(self, answer: type[Answer], question: str, wanted: OnMap) -> Answer:
+        return self._connection.ask(answer, "POST", f"{self._place}/{question}", json=_body(wanted))
+
+    def _file(self, question: str, wanted: OnMap, format: str, coordinates: str | None) -> httpx.Response:
         query = {"format": format} | ({} if coordinates is None else {"coordinates": coordinates})
-        return self._connection.send("POST", f"{self._place}/{question}", json=body, params=query)
+        return self._connection.send("POST", f"{self._place}/{question}", json=_body(wanted), params=query)
 
-    def tour(self, stops: Sequence[Point], **options: Any) -> TourOut:
+    @asks(TourRequest)
+    def tour(self, wanted: TourRequest) -> TourOut:
         """Find the round trip of least energy over several stops, home first.
 
         Parameters
         ----------
-        stops : sequence of points
-            World x, y [m].
-        **options
-            Other fields of a tour request: neighbours, refine, time_limit_s, snap, battery.
+        wanted : TourRequest
+            Its fields are parameters of this method.
 
         Returns
         -------
@@ -219,8 +211,7 @@ class ServedCostMap:
         PointError, BlockedError, NoRouteError
             As `CostMap.tour`.
         """
-        body = {"stops": [_sent(stop) for stop in stops], **options}
-        return self._connection.ask(TourOut, "POST", f"{self._place}/tours", json=body)
+        return self._ask(TourOut, "tours", wanted)
 
     @asks(ReachRequest)
     def reach(self, wanted: ReachRequest) -> ReachOut:
@@ -243,45 +234,30 @@ class ServedCostMap:
         """
         return self._ask(ReachOut, "reach", wanted)
 
+    @asks(FeasibilityRequest, "path")
     def feasibility(
         self,
+        wanted: FeasibilityRequest,
         route: PathOut | TourOut | Sequence[Point] | None = None,
         *,
-        start: Point | None = None,
-        goal: Point | None = None,
-        round_trip: bool = False,
-        snap: bool = False,
-        avoid: Sequence[Sequence[Point]] = (),
         charge: float = 1.0,
         reserve: float = 0.0,
         capacity_wh: float | None = None,
-        battery: Mapping[str, Any] | None = None,
-        **options: Any,
     ) -> FeasibilityOut:
         """Say whether the battery lasts for a route, or for the best one between two points.
 
         Parameters
         ----------
+        wanted : FeasibilityRequest
+            Its fields are parameters of this method.
         route : PathOut, TourOut or sequence of points, optional
-            What is driven; points are world x, y [m].
-        start, goal : sequence of float, optional
-            World x, y [m], instead of a route.
-        round_trip : bool, optional
-            Whether the way back is driven too: the best one, or the same points in reverse where points are given.
-        snap : bool, optional
-            Whether a start or goal on blocked ground is moved to the nearest free place.
-        avoid : sequence of sequence of points, optional
-            Areas that no route may touch: the corners of each.
+            What is driven; points are world x, y [m]. The way back of a planned route is the best one.
         charge : float, optional
             State of charge at the start, 0..1.
         reserve : float, optional
             Share of the capacity that must remain, 0..1.
         capacity_wh : float, optional
             Energy of the full battery [Wh]; by default the robot's.
-        battery : mapping, optional
-            More that is known of the battery, as `joulemap.Battery` has it: `resistance_ohm`, `cutoff_v`, ...
-        **options
-            Other fields of the request: objective, quantile and max_power_w, with `start` and `goal`.
 
         Returns
         -------
@@ -293,31 +269,25 @@ class ServedCostMap:
         InputError
             If it is neither a route nor both ends.
         """
-        body: dict[str, Any] = {
-            "round_trip": round_trip,
-            "snap": snap,
-            "avoid": [[_sent(corner) for corner in area] for area in avoid],
-            **options,
-        }
-        body["battery"] = {"charge": charge, "reserve": reserve, "capacity_wh": capacity_wh, **(battery or {})}
-        points = route.path if isinstance(route, PathOut | TourOut) else route
-        if isinstance(route, PathOut) and round_trip:
-            points = None
-            start, goal = ([v for v in place[:2] if v is not None] for place in (route.path[0], route.path[-1]))
-        for name, value in (("start", start), ("goal", goal)):
-            body |= {} if value is None else {name: _sent(value)}
-        body |= {} if points is None else {"path": [_sent(point) for point in points]}
-        return self._connection.ask(FeasibilityOut, "POST", f"{self._place}/feasibility", json=body)
+        state = {"charge": charge, "reserve": reserve, "capacity_wh": capacity_wh}
+        more: dict[str, Any] = {"battery": {**state, **(_plain(wanted.battery) or {})}}
+        if isinstance(route, PathOut) and wanted.round_trip:
+            for name, place in (("start", route.path[0]), ("goal", route.path[-1])):
+                more[name] = [value for value in place[:2] if value is not None]
+        elif route is not None:
+            more["path"] = route.path if isinstance(route, PathOut | TourOut) else route
+        return self._ask(FeasibilityOut, "feasibility", wanted.model_copy(update=more))
 
-    def speeds(self, points: Sequence[Point] | None = None, **asked: Any) -> SpeedsOut:
+    @asks(SpeedsRequest, "path")
+    def speeds(self, wanted: SpeedsRequest, points: Sequence[Point] | None = None) -> SpeedsOut:
         """Give the cheapest cruising speed of a route, and its energy against its time.
 
         Parameters
         ----------
+        wanted : SpeedsRequest
+            Its fields are parameters of this method.
         points : sequence of points, optional
-            World x, y [m], in order.
-        **asked
-            `start` and `goal` in place of points, `snap`, `avoid`: see the HTTP reference.
+            World x, y [m], in order, in place of start and goal.
 
         Returns
         -------
@@ -329,20 +299,17 @@ class ServedCostMap:
         InputError
             If the model does not know what speed costs.
         """
-        body = {name: value for name, value in asked.items() if value is not None}
-        body |= {name: _sent(body[name]) for name in ("start", "goal") if name in body}
-        body |= {} if points is None else {"path": [_sent(point) for point in points]}
-        return self._connection.ask(SpeedsOut, "POST", f"{self._place}/speeds", json=body)
+        on_points = wanted if points is None else wanted.model_copy(update={"path": points})
+        return self._ask(SpeedsOut, "speeds", on_points)
 
-    def homeward(self, position: Point, home: Point, **asked: Any) -> ReturnOut:
+    @asks(ReturnRequest)
+    def homeward(self, wanted: ReturnRequest) -> ReturnOut:
         """Say until where a robot may follow the rest of its path and still come home: the point of no return.
 
         Parameters
         ----------
-        position, home : sequence of float or mapping
-            World x, y [m].
-        **asked
-            `path`, `charging`, `battery` with the charge now, `confidence`, `avoid`: see the HTTP reference.
+        wanted : ReturnRequest
+            Its fields are parameters of this method.
 
         Returns
         -------
@@ -354,11 +321,7 @@ class ServedCostMap:
         PointError, BlockedError
             As `CostMap.homeward`.
         """
-        body = {"position": _sent(position), "home": _sent(home), **asked}
-        for name in ("path", "charging"):
-            if body.get(name) is not None:
-                body[name] = [_sent(point) for point in body[name]]
-        return self._connection.ask(ReturnOut, "POST", f"{self._place}/return", json=body)
+        return self._ask(ReturnOut, "return", wanted)
 
     def at(self, point: Point) -> AtOut:
         """Return the energy per metre at one place in all headings.
@@ -405,7 +368,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, str) or not isinstance(value, Iterable):
         return value
     return [_plain(one) for one in (value.tolist() if hasattr(value, "tolist") else value)]
-
-
-def _sent(point: Any) -> Any:
-    return dict(point) if isinstance(point, Mapping) else list(point)

@@ -1,15 +1,16 @@
 """Options of commands that are read from a request: a field is an option, with its name, type, default and meaning.
 
-A command has a parameter `wanted: Annotated[Wanted, "MODULE:REQUEST"]`. In its place come the options. Places are typed
-as X,Y; areas and paths come from files, and so does what is known of a battery beside its charge. pydantic loads
-slowly, so requests are imported when one command is asked for, and not when all of them are listed.
+A command has a parameter `wanted: Annotated[Wanted, "MODULE:REQUEST"]`, or "MODULE:REQUEST -FIELD" without a field. In
+its place come the options. Places are typed as X,Y; areas and paths come from files, and so does what is known of a
+battery beside its charge. pydantic loads slowly, so requests are imported when one command is asked for, and not when
+all of them are listed.
 """
 
 from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -43,20 +44,24 @@ _OF_BATTERY = ("charge", "reserve", "capacity_wh")
 
 @dataclass(frozen=True)
 class Wanted:
-    """The fields of a request as they were typed."""
+    """The fields of a request as they were typed; `changed` are those that differ from their defaults."""
 
     typed: dict[str, Any]
+    changed: frozenset[str]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.changed
 
     def on(self, frame: GridFrame) -> tuple[dict[str, Any], list[str]]:
-        """The fields on a map, as the Python package takes them, and notes of files that had to be interpreted."""
+        """The fields on a map but for those that are as usual, and notes of files that had to be interpreted."""
         from joulemap.service.commands.path_files import read_areas, read_path
 
-        values, notes = dict(self.typed), list[str]()
+        values, notes = {name: value for name, value in self.typed.items() if name in self}, list[str]()
         for name, read in (("path", read_path), ("avoid", read_areas)):
-            if values.get(name) is not None:
+            if name in values:
                 values[name], more = read(values[name], frame)
                 notes += more
-        return {name: value for name, value in values.items() if value is not None}, notes
+        return values, notes
 
 
 class Commands(PlainErrors):
@@ -100,20 +105,23 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     """A command with the options of its requests."""
     hints = get_type_hints(command, include_extras=True)
     parameters: list[inspect.Parameter] = []
-    asked: dict[str, list[str]] = {}
+    asked: dict[str, list[inspect.Parameter]] = {}
     for name, parameter in inspect.signature(command).parameters.items():
         kind = hints[name]
         if get_origin(kind) is Annotated and get_args(kind)[0] is Wanted:
-            module, _, request = get_args(kind)[1].partition(":")
-            options = list(_options_of(getattr(import_module(module), request)))
-            asked[name] = [option.name for option in options]
-            parameters += options
+            place, *without = get_args(kind)[1].split(" -")
+            module, _, request = place.partition(":")
+            asked[name] = list(_options_of(getattr(import_module(module), request), without))
+            parameters += asked[name]
         else:
             parameters.append(parameter.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY))
 
     def _command(**given: Any) -> None:
-        wanted = {name: Wanted(_joined({key: given.pop(key) for key in keys})) for name, keys in asked.items()}
-        command(**wanted, **given)
+        for name, options in asked.items():
+            typed = {option.name: given.pop(option.name) for option in options}
+            changed = {option.name for option in options if typed[option.name] != option.default}
+            given[name] = Wanted(_joined(typed), frozenset(changed | ({"battery"} & typed.keys())))
+        command(**given)
 
     _command.__name__, _command.__doc__ = command.__name__, command.__doc__
     _command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
@@ -129,11 +137,11 @@ def _joined(typed: dict[str, Any]) -> dict[str, Any]:
     return {**typed, "battery": {**battery_values(typed["battery"], typed.pop("capacity_wh")), **state}}
 
 
-def _options_of(request: type[OnMap]) -> Iterator[inspect.Parameter]:
+def _options_of(request: type[OnMap], without: Sequence[str]) -> Iterator[inspect.Parameter]:
     from joulemap.service.questions.fields import fields_of, value_of
 
     needed, others = fields_of(request)
-    fields = needed | others
+    fields = {name: field for name, field in (needed | others).items() if name not in without}
     for name, field in fields.items():
         if name in _FILES:
             file = typer.Option(f"--{name}", metavar="FILE", callback=there, help=_FILES[name])
@@ -184,8 +192,12 @@ def _flag(name: str) -> str:
 
 def _sentence(field: Field, fields: Mapping[str, Field]) -> str:
     """The meaning of a field, which calls other fields by their options."""
-    words = re.sub(r"`(\w+)`", lambda found: _flag(found[1]) if found[1] in fields else found[0], field["description"])
-    return f"{capital(words)}."
+    from joulemap.service.questions.fields import meaning_of
+
+    def _called(found: re.Match[str]) -> str:
+        return _flag(found[1]) if found[1] in fields else found[0]
+
+    return capital(re.sub(r"`(\w+)`", _called, meaning_of(field))) + "."
 
 
 def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:

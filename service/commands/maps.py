@@ -11,38 +11,28 @@ import typer
 from joulemap.model.errors import TooLargeError
 from joulemap.model.terrain.formats import formats_in_words
 from joulemap.service.commands.arguments import RUNNING, with_option_names
-from joulemap.service.commands.battery_file import BatteryFile, battery_values
+from joulemap.service.commands.asked import Wanted
 from joulemap.service.commands.cluster import Scheduler, costmap_there
 from joulemap.service.commands.console import (
     JsonFile,
     Output,
     leaves_nothing_behind,
-    parse_point,
     progress_bar,
     write_file,
 )
 from joulemap.service.commands.options import (
-    DEFAULT_QUANTILE,
-    Avoid,
-    MaxPower,
     ModelName,
-    ObjectiveName,
     Overwrite,
-    Quantile,
     Reading,
-    Reserve,
     RobotFile,
-    Snap,
-    StateOfCharge,
     png,
     reads_heightmap,
     refuse_to_replace,
     robot_of,
     there,
-    weighed_options,
 )
 from joulemap.service.commands.remote import Key, MapOrId, Server, refuse_local, served, service_at, unpack
-from joulemap.service.commands.route_files import PLACE, RouteCoordinates, RouteFiles, RouteFormatName, wanted_files
+from joulemap.service.commands.route_files import RouteCoordinates, RouteFiles, RouteFormatName, wanted_files
 from joulemap.service.words import duration_words, energy_words, objective_rows, route_words, saving_words
 
 if TYPE_CHECKING:
@@ -276,33 +266,7 @@ def _memory_for(costmap: Path) -> float | None:
 
 def path(
     costmap: MapOrId,
-    start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help=f"Where to start: {PLACE}.")],
-    goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go.")],
-    planner: Annotated[
-        str,
-        typer.Option(help="astar or dijkstra (exact on the grid); rrtstar, informed_rrtstar or bitstar (sampling)."),
-    ] = "astar",
-    neighbours: Annotated[
-        int,
-        typer.Option(
-            metavar="N", help="Directions of a step with --no-refine: 8, 16 or 32. A refined path begins with 32."
-        ),
-    ] = 16,
-    refine: Annotated[bool, typer.Option(help="Improve the grid path at any angle.")] = True,
-    time_limit: Annotated[float, typer.Option(min=0.01, metavar="S", help="Time for the sampling planners [s].")] = 5.0,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the sampling planners.")] = 0,
-    alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Most other good routes to look for.")] = 0,
-    snap: Snap = False,
-    avoid: Avoid = None,
-    objective: ObjectiveName = "mean",
-    quantile: Quantile = DEFAULT_QUANTILE,
-    max_power: MaxPower = None,
-    bound: Annotated[
-        bool,
-        typer.Option(
-            help="Search for a lower bound of the energy of all paths, and say how far this one may lie above it."
-        ),
-    ] = False,
+    wanted: Annotated[Wanted, "joulemap.service.questions.path:PathRequest -battery"],
     memory: Memory = None,
     out: RouteFiles = None,
     format: RouteFormatName = None,
@@ -332,56 +296,57 @@ def path(
 
     `joulemap path dem.zarr --start 12.5,40 --goal 180,95 --planner bitstar --time-limit 10 --json -`
     """
-    from joulemap.service.commands.path_files import read_areas
     from joulemap.service.library.costmaps import open_costmap
-    from joulemap.service.schemas.answers import path_values
+    from joulemap.service.questions.path import PathRequest, answer, ask, track
 
     output, files = Output(json_file), wanted_files(out, format, coordinates, geojson)
-    asked: dict[str, Any] = {
-        "planner": planner,
-        "neighbours": neighbours,
-        "refine": refine,
-        "time_limit_s": time_limit,
-        "seed": seed,
-        "alternatives": alternatives,
-        "snap": snap,
-        "bound": bound,
-        **weighed_options(objective, quantile, max_power),
-    }
-    if objective == "arrival":
+    _check_objective(wanted)
+    if wanted.typed["objective"] == "arrival":
         raise typer.BadParameter("arriving depends on the battery: ask `joulemap feasibility --objective arrival`")
+    bound = wanted.typed["bound"]
     if server is not None:
         refuse_local(memory=memory, picture=picture)
         with served(server, key, costmap) as map_there, progress_bar("Path") as report:
             for file in files:
                 file.check(map_there.crs)
-            asked["avoid"], notes = read_areas(avoid, map_there.grid)
-            answer = map_there.plan(start, goal, progress=report, **asked)
+            values, notes = wanted.on(map_there.grid)
+            there_found = map_there.plan(**values, progress=report)
             for file in files:
-                write_file(file.path, map_there.plan_file(start, goal, **file.query, **asked))
+                write_file(file.path, map_there.plan_file(**values, **file.query))
         output.warn(notes)
-        _say_path(output, answer.model_dump(mode="json"), map_there.about.robot.name, bound=bound)
+        _say_path(output, there_found.model_dump(mode="json"), map_there.about.robot.name, bound=bound)
         return
-    whole = bound or objective != "mean" or max_power is not None
-    in_parts = planner == "astar" and alternatives == 0 and picture is None and not whole
+    in_parts = picture is None and not wanted.changed & {"planner", "alternatives", "bound", "objective", "max_power_w"}
     ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if in_parts and memory is None else memory)
     for file in files:
         file.check(ground.crs)
-    asked["avoid"], notes = read_areas(avoid, ground.planner.lattice.frame)
+    values, notes = wanted.on(ground.planner.lattice.frame)
     output.warn(notes)
     with progress_bar("Path") as report:
-        route = ground.plan(start, goal, progress=report, **asked)
-    plan = route.found
-    _say_path(output, path_values(plan, None, ground.warnings), ground.robot.name, bound=bound)
+        found = ask(ground.planner, PathRequest.told(**values), progress=report)
+    _say_path(output, answer(found, ground.warnings), ground.robot.name, bound=bound)
     for file in files:
-        write_file(file.path, file.content(route.track))
+        write_file(file.path, file.content(track(found, ground.warnings)))
     if picture is not None:
         from joulemap.service.pictures import route_picture
 
         source = ground.lattice.provenance.get("heightmap", {}).get("source")
         title = f"Path for {ground.robot.name}" + (f" on {source}" if source not in (None, "memory") else "")
+        plan = found.plan
         drawn = route_picture(ground.lattice, plan.route, plan.shortest, title=title, alternatives=plan.others)
         write_file(picture, drawn)
+
+
+def _check_objective(wanted: Wanted) -> None:
+    """Refuse what does not go together."""
+    typed = wanted.typed
+    if "quantile" in wanted and "objective" not in wanted:
+        raise typer.BadParameter(
+            f"a quantile of {typed['quantile']:g} counts with --objective quantile only: give both",
+            param_hint="--quantile",
+        )
+    if "path" in wanted and wanted.changed & {"objective", "max_power_w"}:
+        raise typer.BadParameter("--objective and --max-power choose a route: give --start and --goal, not --path")
 
 
 def _say_path(output: Output, found: dict[str, Any], robot: str, *, bound: bool) -> None:
@@ -402,31 +367,8 @@ def _say_path(output: Output, found: dict[str, Any], robot: str, *, bound: bool)
 
 def feasibility(
     costmap: MapOrId,
-    start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help=f"Where to start: {PLACE}.")] = None,
-    goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go.")] = None,
-    path: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            callback=there,
-            help="A path instead: GeoJSON, GPX, KML, a mission (.plan, .waypoints), the JSON of `joulemap path` or "
-            "`tour`, or CSV with lines x,y. Several lines are driven one after another.",
-        ),
-    ] = None,
-    round_trip: Annotated[bool, typer.Option("--round-trip", help="There and back.")] = False,
-    snap: Snap = False,
-    avoid: Avoid = None,
-    objective: ObjectiveName = "mean",
-    quantile: Quantile = DEFAULT_QUANTILE,
-    max_power: MaxPower = None,
+    wanted: Annotated[Wanted, "joulemap.service.questions.feasibility:FeasibilityRequest"],
     memory: Memory = None,
-    capacity_wh: Annotated[
-        float | None,
-        typer.Option(metavar="WH", help="Energy of the full battery [Wh]. [default: the robot's battery_wh]"),
-    ] = None,
-    charge: StateOfCharge = 1.0,
-    reserve: Reserve = 0.0,
-    battery_file: BatteryFile = None,
     server: Server = None,
     key: Key = None,
     json_file: JsonFile = None,
@@ -446,51 +388,23 @@ def feasibility(
 
     `joulemap feasibility dem.zarr --start 12,40 --goal 180,95 --charge 0.3 --objective arrival`
     """
-    from joulemap.model.battery import Battery
-    from joulemap.service.commands.path_files import read_areas, read_path
-    from joulemap.service.feasibility import assess
     from joulemap.service.library.costmaps import open_costmap
-    from joulemap.service.objectives import Objective, limited
-    from joulemap.service.schemas.answers import feasibility_values
+    from joulemap.service.questions.feasibility import FeasibilityRequest, answer, ask
 
     output = Output(json_file)
-    given = battery_values(battery_file, capacity_wh)
-    chosen_by = weighed_options(objective, quantile, max_power)
-    if path is not None and chosen_by:
-        raise typer.BadParameter("--objective and --max-power choose a route: give --start and --goal, not --path")
+    _check_objective(wanted)
     if server is not None:
         refuse_local(memory=memory)
         with served(server, key, costmap) as map_there:
-            points, notes = (None, []) if path is None else read_path(path, map_there.grid)
-            areas, more = read_areas(avoid, map_there.grid)
-            verdict = map_there.feasibility(
-                points,
-                start=start,
-                goal=goal,
-                round_trip=round_trip,
-                snap=snap,
-                avoid=areas,
-                charge=charge,
-                reserve=reserve,
-                capacity_wh=capacity_wh,
-                battery=given,
-                **chosen_by,
-            )
-        output.warn(notes + more)
-        _say_verdict(output, verdict.model_dump(mode="json"), round_trip=round_trip)
-        return
-    ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if memory is None and not chosen_by else memory)
-    battery = Battery.from_mapping(
-        {"capacity_wh": ground.robot.battery_wh, **given, "charge": charge, "reserve": reserve}
-    )
-    planner = ground.planner
-    points, notes = (None, []) if path is None else read_path(path, planner.lattice.frame)
-    areas, more = read_areas(avoid, planner.lattice.frame)
-    output.warn(notes + more)
-    task: dict[str, Any] = {"path": points, "start": start, "goal": goal, "round_trip": round_trip, "snap": snap}
-    router = limited(planner.avoiding(areas), max_power)
-    assessment = assess(router, battery=battery, objective=Objective(objective, quantile), **task)
-    _say_verdict(output, feasibility_values(assessment, ground.warnings), round_trip=round_trip)
+            values, notes = wanted.on(map_there.grid)
+            found = map_there.feasibility(values.pop("path", None), **values).model_dump(mode="json")
+    else:
+        whole = memory is not None or wanted.changed & {"objective", "max_power_w"}
+        ground = open_costmap(costmap, memory_gb=memory if whole else _memory_for(costmap))
+        values, notes = wanted.on(ground.planner.lattice.frame)
+        found = answer(ask(ground.planner, FeasibilityRequest.told(**values)), ground.warnings)
+    output.warn(notes)
+    _say_verdict(output, found, round_trip=wanted.typed["round_trip"])
 
 
 def _say_verdict(output: Output, found: dict[str, Any], *, round_trip: bool) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 import typer
 
 from joulemap.model.errors import ConflictError, NotFoundError
-from joulemap.service.commands.console import Output, parse_share
+from joulemap.service.commands.console import Output
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
@@ -153,42 +153,10 @@ BaselineRuns = Annotated[
         "was trained on, if its folder keeps them]",
     ),
 ]
-Avoid = Annotated[
-    Path | None,
-    typer.Option(
-        "--avoid", metavar="FILE", callback=there, help="GeoJSON with areas (polygons) that no route may touch."
-    ),
-]
-ObjectiveName = Annotated[
-    str,
-    typer.Option(
-        "--objective",
-        metavar="NAME",
-        help="What the route is chosen by: mean (expected energy), quantile (energy that --quantile of drives do not "
-        "exceed) or arrival (most likely to arrive with the reserve; in `joulemap feasibility`).",
-    ),
-]
-DEFAULT_QUANTILE = 0.95
-Quantile = Annotated[
-    float, typer.Option(min=0.5, max=0.99, metavar="0..1", help="Share of drives for --objective quantile.")
-]
-MaxPower = Annotated[
-    float | None,
-    typer.Option("--max-power", metavar="W", help="Block what takes more power than this at the robot's speed [W]."),
-]
 Snap = Annotated[
     bool,
     typer.Option("--snap", help="Take the nearest free place for a point on blocked ground, with a warning."),
 ]
-StateOfCharge = Annotated[
-    float,
-    typer.Option(metavar="0..1", parser=parse_share, help="State of charge of the battery at the start, 0..1."),
-]
-Reserve = Annotated[
-    float,
-    typer.Option(metavar="0..1", parser=parse_share, help="Share of a full battery that must remain at the end, 0..1."),
-]
-
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is at `--out` already.")]
 
 
@@ -381,31 +349,6 @@ def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
             else f"{out} is there already: choose another folder, or replace it with --overwrite",
             path=str(out),
         )
-
-
-def weighed_options(objective: str, quantile: float, max_power_w: float | None) -> dict[str, Any]:
-    """Return what was said of choosing a route, as `CostMap.plan` takes it; nothing where nothing was said.
-
-    Parameters
-    ----------
-    objective : str
-        Of `--objective`.
-    quantile : float
-        Of `--quantile`.
-    max_power_w : float or None
-        Of `--max-power` [W].
-
-    Returns
-    -------
-    dict
-        Without what is as usual, so that older services understand it.
-    """
-    if objective == "mean" and quantile != DEFAULT_QUANTILE:
-        raise typer.BadParameter(
-            f"a quantile of {quantile:g} counts with --objective quantile only: give both", param_hint="--quantile"
-        )
-    chosen: dict[str, Any] = {} if objective == "mean" else {"objective": objective, "quantile": quantile}
-    return chosen | ({} if max_power_w is None else {"max_power_w": max_power_w})
 
 
 def robot_of(file: Path | None) -> Robot:

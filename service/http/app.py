@@ -26,7 +26,6 @@ from joulemap.service.http.routes import (
     contents,
     costmaps,
     heightmaps,
-    homeward,
     job_progress,
     layers,
     meta,
@@ -34,7 +33,6 @@ from joulemap.service.http.routes import (
     questions,
     reach,
     runs,
-    speeds,
 )
 from joulemap.service.http.service import Service
 from joulemap.service.http.watched import on_the_loop
@@ -78,8 +76,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         costmaps,
         contents,
         reach,
-        homeward,
-        speeds,
         runs,
         calibrations,
         job_progress,

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from joulemap.model.battery import Battery
 from joulemap.planner.areas.energy_map import EnergyMap, energy_map
 from joulemap.planner.areas.reach_map import ReachMap
 from joulemap.planner.grid.fields import field_from, field_towards
 from joulemap.planner.places import end_point
 from joulemap.planner.pricing.moves import move_table
-from joulemap.service.homeward import Homeward, homeward
+from joulemap.service.homeward import Homeward
 from joulemap.service.library.costmap_base import CostMapBase, Point
 from joulemap.service.places import Places
 from joulemap.service.point_costs import PointCosts, costs_at
-from joulemap.service.questions import reach
+from joulemap.service.questions import homeward, reach
 from joulemap.service.questions.asking import asks
+from joulemap.service.questions.homeward import ReturnRequest
 from joulemap.service.questions.reach import ReachRequest
 
 
@@ -62,32 +62,14 @@ class AreaQuestions(CostMapBase):
         battery = wanted.battery or {"reserve": reserve, "capacity_wh": capacity_wh or self.robot.battery_wh}
         return reach.ask(self.planner, wanted.model_copy(update={"charges": charges, "battery": battery}))
 
-    def homeward(
-        self,
-        position: Point,
-        home: Point,
-        *,
-        battery: Battery,
-        path: Sequence[Point] | None = None,
-        charging: Sequence[Point] = (),
-        confidence: float | None = 0.95,
-    ) -> Homeward:
+    @asks(ReturnRequest)
+    def homeward(self, wanted: ReturnRequest) -> Homeward:
         """Say until where a robot may follow the rest of its path and still come home: the point of no return.
 
         Parameters
         ----------
-        position : sequence of float or mapping
-            Where the robot is, world x, y [m].
-        home : sequence of float or mapping
-            World x, y [m].
-        battery : Battery
-            With its charge now.
-        path : sequence of points, optional
-            The rest of its path.
-        charging : sequence of points, optional
-            Places to charge, at most 16.
-        confidence : float or None, optional
-            Probability with which the battery must last; None where the expected energy decides.
+        wanted : ReturnRequest
+            Its fields are parameters of this method.
 
         Returns
         -------
@@ -103,16 +85,7 @@ class AreaQuestions(CostMapBase):
         BlockedError
             If home or a place to charge is on blocked ground, or the path crosses it.
         """
-        places = Places(self.lattice.frame)
-        return homeward(
-            self.planner,
-            places(position, "position"),
-            places(home, "home"),
-            battery,
-            path=None if path is None else places.path(list(path)),
-            charging=[places(place, f"charging place {k}") for k, place in enumerate(charging)],
-            confidence=confidence,
-        )
+        return homeward.ask(self.planner, wanted)
 
     def field(
         self, *, start: Point | None = None, goal: Point | None = None, neighbours: int = 16, snap: bool = False

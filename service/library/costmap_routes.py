@@ -15,8 +15,11 @@ from joulemap.service.library.feasibility import Feasibility
 from joulemap.service.library.planned_route import PlannedRoute
 from joulemap.service.library.planned_tour import PlannedTour
 from joulemap.service.models import DEFAULT_MODEL, find_predictor
-from joulemap.service.objectives import Objective, limited, plan_by
 from joulemap.service.places import Places
+from joulemap.service.questions import path, tour
+from joulemap.service.questions.asking import asks
+from joulemap.service.questions.path import PathRequest
+from joulemap.service.questions.tour import TourRequest
 
 if TYPE_CHECKING:
     from joulemap.service.library.heightmaps import GroundLike
@@ -27,60 +30,14 @@ if TYPE_CHECKING:
 class RouteQuestions(CostMapBase):
     """Routes over a cost map, and verdicts on them."""
 
-    def plan(
-        self,
-        start: Point,
-        goal: Point,
-        *,
-        planner: str = "astar",
-        neighbours: int = 16,
-        refine: bool = True,
-        alternatives: int = 0,
-        snap: bool = False,
-        bound: bool = False,
-        time_limit_s: float = 5.0,
-        seed: int = 0,
-        avoid: Sequence[Sequence[Point]] = (),
-        objective: str = "mean",
-        quantile: float = 0.95,
-        max_power_w: float | None = None,
-        battery: Battery | None = None,
-        progress: Callable[[float], None] | None = None,
-    ) -> PlannedRoute:
+    @asks(PathRequest)
+    def plan(self, wanted: PathRequest, *, progress: Callable[[float], None] | None = None) -> PlannedRoute:
         """Find the route of least energy, and the shortest one beside it.
 
         Parameters
         ----------
-        start, goal : sequence of float
-            World x, y [m].
-        planner : str, optional
-            One of `joulemap.planner.route_planner.PLANNERS`.
-        neighbours : int, optional
-            Directions of a step on the grid: 8, 16 or 32.
-        refine : bool, optional
-            Whether the grid's path is improved to any angle.
-        alternatives : int, optional
-            Most other routes to look for.
-        snap : bool, optional
-            Whether a start or goal on blocked ground is moved to the nearest free place.
-        bound : bool, optional
-            Whether to search for a sharper lower bound of the energy (`found.bound_j`), which takes some seconds once
-            per map. Without it the bound is that of the idle power over the straight distance.
-        time_limit_s : float, optional
-            For the sampling planners [s].
-        seed : int, optional
-            For the sampling planners.
-        avoid : sequence of sequence of points, optional
-            Areas that no route may touch: the corners of each, world x, y [m].
-        objective : str, optional
-            What the route is chosen by: "mean" energy, energy at a "quantile", or probability of "arrival" with the
-            reserve of the battery.
-        quantile : float, optional
-            Share of drives that take no more than the energy that is made least, 0.5 to 0.99.
-        max_power_w : float, optional
-            Most power at the robot's speed [W]: what takes more is blocked.
-        battery : Battery, optional
-            For "arrival".
+        wanted : PathRequest
+            Its fields are parameters of this method.
         progress : callable, optional
             Called with the share done, 0..1.
 
@@ -100,53 +57,17 @@ class RouteQuestions(CostMapBase):
         NoRouteError
             If no route joins the two.
         """
-        places = Places(self.lattice.frame)
-        router = limited(self.planner.avoiding(places.areas(avoid)), max_power_w)
-        found = plan_by(
-            router,
-            places(start, "start"),
-            places(goal, "goal"),
-            Objective(objective, quantile),
-            battery=battery,
-            planner=planner,
-            neighbours=neighbours,
-            refine=refine,
-            alternatives=alternatives,
-            snap=snap,
-            bound=bound,
-            time_limit_s=time_limit_s,
-            seed=seed,
-            progress=progress,
-        )
-        return PlannedRoute(places.noted(found), router.lattice)
+        found = path.ask(self.planner, wanted, progress=progress)
+        return PlannedRoute(found.plan, found.lattice)
 
-    def tour(
-        self,
-        stops: Sequence[Point],
-        *,
-        neighbours: int = 16,
-        refine: bool = True,
-        snap: bool = False,
-        time_limit_s: float = 10.0,
-        avoid: Sequence[Sequence[Point]] = (),
-        progress: Callable[[float], None] | None = None,
-    ) -> PlannedTour:
+    @asks(TourRequest, "battery")
+    def tour(self, wanted: TourRequest, *, progress: Callable[[float], None] | None = None) -> PlannedTour:
         """Visit all stops and come home to the first one, in the order that takes least energy.
 
         Parameters
         ----------
-        stops : sequence of points
-            World x, y [m]; the first is home.
-        neighbours : int, optional
-            Directions of a step on the grid: 8, 16 or 32.
-        refine : bool, optional
-            Whether the legs are improved to any angle.
-        snap : bool, optional
-            Whether a stop on blocked ground is moved to the nearest free place.
-        time_limit_s : float, optional
-            For the search of the order [s].
-        avoid : sequence of sequence of points, optional
-            Areas that no leg may touch: the corners of each, world x, y [m].
+        wanted : TourRequest
+            Its fields are parameters of this method.
         progress : callable, optional
             Called with the share done, 0..1.
 
@@ -160,17 +81,8 @@ class RouteQuestions(CostMapBase):
         PointError, BlockedError, NoRouteError
             As `plan`; the two stops are named.
         """
-        places = Places(self.lattice.frame)
-        router = self.planner.avoiding(places.areas(avoid))
-        found = router.tour(
-            [places(stop, f"stop {k}") for k, stop in enumerate(stops)],
-            neighbours=neighbours,
-            refine=refine,
-            snap=snap,
-            time_limit_s=time_limit_s,
-            progress=progress,
-        )
-        return PlannedTour(places.noted(found), router.lattice)
+        found = tour.ask(self.planner, wanted, progress=progress)
+        return PlannedTour(found.trip, found.lattice)
 
     def feasibility(
         self,

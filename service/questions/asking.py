@@ -9,8 +9,9 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar
 
-from joulemap.service.questions.fields import Field, fields_of, is_place, value_of
+from joulemap.service.questions.fields import Field, fields_of, is_place, meaning_of, value_of
 from joulemap.service.questions.parts import OnMap
+from joulemap.service.words import capital
 
 Answer = TypeVar("Answer")
 _TYPES = {"integer": "int", "number": "float", "string": "str", "boolean": "bool", "object": "Battery"}
@@ -41,11 +42,14 @@ def asks(request: type[OnMap], *without: str) -> Callable[[Callable[..., Answer]
     def _asking(method: Callable[..., Answer]) -> Callable[..., Answer]:
         plain = inspect.signature(method)
         me, _, *own = plain.parameters.values()
-        signature = plain.replace(parameters=[me, *first, *by_name, *own])
+        signature = plain.replace(parameters=sorted([me, *first, *by_name, *own], key=lambda one: one.kind))
 
         @wraps(method)
         def _method(*args: Any, **given: Any) -> Answer:
-            bound = signature.bind(*args, **given).arguments
+            try:
+                bound = signature.bind(*args, **given).arguments
+            except TypeError as error:
+                raise TypeError(f"{method.__name__}() {error}") from None
             wanted = request.told(**{name: bound.pop(name) for name in fields if name in bound})
             return method(bound.pop(me.name), wanted, **bound)
 
@@ -59,8 +63,7 @@ def asks(request: type[OnMap], *without: str) -> Callable[[Callable[..., Answer]
 
 def _described(name: str, field: Field, *, needed: bool) -> str:
     """A field in numpydoc's form."""
-    words = field["description"][:1].upper() + field["description"][1:] + "."
-    text = textwrap.fill(words, 110, initial_indent="    ", subsequent_indent="    ")
+    text = textwrap.fill(f"{capital(meaning_of(field))}.", 110, initial_indent="    ", subsequent_indent="    ")
     return f"{name} : {_type_of(field)}{'' if needed else ', optional'}\n{text}\n"
 
 

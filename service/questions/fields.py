@@ -28,6 +28,12 @@ def value_of(field: Field) -> Field:
     return value_of(kinds[0]) if kinds else field
 
 
+def meaning_of(field: Field) -> str:
+    """What a field means; where it may be null, that may be said of its value alone."""
+    inside = (meaning_of(one) for one in field.get("anyOf", ()))
+    return field.get("description") or next((words for words in inside if words), "")
+
+
 def is_place(value: Field) -> bool:
     """Whether a field holds the coordinates of one place."""
     return value.get("type") == "array" and value_of(value["items"])["type"] == "number" and "maxItems" in value

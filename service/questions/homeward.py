@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 from pydantic import Field
 
 from joulemap.model.ranges import MOST_CHARGING, QUANTILE
-from joulemap.service.questions.parts import BatteryIn, OnMap
+from joulemap.service.questions.parts import BatteryIn, OnMap, battery_of, on_map
 from joulemap.service.schemas.base import GivenPath, Place
+
+if TYPE_CHECKING:  # they take their time to load
+    from joulemap.service.homeward import Homeward
+    from joulemap.service.questions.parts import AnyPlanner
+    from joulemap.service.schemas.homeward import ReturnOut
 
 CONFIDENCE = 0.95
 """Probability with which the battery must last, unless another is asked for."""
@@ -35,3 +43,30 @@ class ReturnRequest(OnMap):
         le=QUANTILE.high,
         description="probability with which the battery must last; null where the expected energy decides",
     )
+
+
+def ask(planner: AnyPlanner, wanted: ReturnRequest) -> Homeward:
+    """Find until where a robot may follow the rest of its path and still come home, or reach a place to charge."""
+    from joulemap.service.homeward import homeward
+
+    asked = on_map(planner, wanted)
+    places = asked.places
+    path = None if wanted.path is None else places.path(wanted.path)
+    charging = [places(place, f"charging place {k}") for k, place in enumerate(wanted.charging)]
+    found = homeward(
+        asked.planner,
+        places(wanted.position, "position"),
+        places(wanted.home, "home"),
+        battery_of(wanted.battery, planner.lattice.robot),
+        path=path,
+        charging=charging,
+        confidence=wanted.confidence,
+    )
+    return replace(found, notes=tuple(places.notes))
+
+
+def answer(found: Homeward, warnings: list[str]) -> ReturnOut:
+    """As it is sent."""
+    from joulemap.service.schemas.homeward import homeward_out
+
+    return homeward_out(found, [*found.notes, *warnings])

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from joulemap.model.battery import Battery
 from joulemap.model.ranges import BATTERY, BATTERY_CURVES, CURVE_POINTS, OBJECTIVES, QUANTILE, Range
-from joulemap.service.schemas.base import Areas, Request, RobotIn, within
+from joulemap.service.schemas.base import Areas, GivenPath, Place, Request, RobotIn, within
 
 if TYPE_CHECKING:  # they take their time to load
     from joulemap.model.robot import Robot
@@ -60,6 +60,28 @@ class WeighedRequest(OnMap):
         from joulemap.service.objectives import Objective
 
         return Objective(self.objective, self.quantile)
+
+
+class OnRoute(OnMap):
+    """A question about a given path, or about the best one from start to goal."""
+
+    path: GivenPath | None = Field(
+        default=None, min_length=2, max_length=100_000, description="world points [m], in order"
+    )
+    start: Place | None = Field(default=None, examples=[[12.5, 40.5]])
+    goal: Place | None = Field(default=None, examples=[[80.0, 15.0]])
+    snap: bool = Field(
+        default=False,
+        description="move a start or goal on blocked ground to the nearest free place; a warning says where that is. A "
+        "given path is never moved",
+    )
+
+    @model_validator(mode="after")
+    def _one_task(self) -> Self:
+        ends = (self.start is not None) + (self.goal is not None)
+        if (self.path is None and ends < 2) or (self.path is not None and ends > 0):
+            raise ValueError("give either `path`, or `start` and `goal`")
+        return self
 
 
 def _curve_of(name: str) -> Any:

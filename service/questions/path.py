@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
 from joulemap.model.ranges import SEARCH_S
 from joulemap.planner.planners import PLANNERS
-from joulemap.service.questions.parts import BatteryIn, WeighedRequest
-from joulemap.service.schemas.base import Place, within
+from joulemap.service.questions.parts import BatteryIn, WeighedRequest, battery_of, on_map
+from joulemap.service.schemas.base import Place, Request, within
+
+if TYPE_CHECKING:  # they take their time to load
+    from collections.abc import Callable
+
+    from joulemap.planner.answers import Plan
+    from joulemap.planner.lattice import CostLattice
+    from joulemap.planner.verdict.budget import Verdict
+    from joulemap.service.exports.track import Track
+    from joulemap.service.questions.parts import AnyPlanner
 
 
-class PathRequest(WeighedRequest):
-    """From where to where, and how to search."""
+class SearchOptions(Request):
+    """How to search: `RoutePlanner.plan` takes these by the same names."""
 
-    start: Place = Field(examples=[[12.5, 40.5]])
-    goal: Place = Field(examples=[[80.0, 15.0]])
     planner: Literal[PLANNERS] = Field(default="astar", description="the sampling planners use the whole time limit")  # type: ignore[valid-type]
     neighbours: Literal[8, 16, 32] = Field(
         default=16, description="moves per cell of the grid planners without `refine`; with it they are 32"
@@ -34,4 +41,49 @@ class PathRequest(WeighedRequest):
         default=False,
         description="move a start or goal on blocked ground to the nearest free place; a warning says where that is",
     )
+
+
+class PathRequest(SearchOptions, WeighedRequest):
+    """From where to where, and how to search."""
+
+    start: Place = Field(examples=[[12.5, 40.5]])
+    goal: Place = Field(examples=[[80.0, 15.0]])
     battery: BatteryIn | None = Field(default=None, description="given: the answer says whether this battery lasts")
+
+
+class Found(NamedTuple):
+    """The plan, the map with what it kept off, and whether the battery lasts, where one was given."""
+
+    plan: Plan
+    lattice: CostLattice
+    verdict: Verdict | None
+
+
+def ask(planner: AnyPlanner, wanted: PathRequest, *, progress: Callable[[float], None] | None = None) -> Found:
+    """Find the best path between two places, and the shortest one beside it."""
+    from joulemap.service.feasibility import judge_routes
+    from joulemap.service.objectives import plan_by
+
+    asked, lattice = on_map(planner, wanted), planner.lattice
+    battery = None if wanted.battery is None else battery_of(wanted.battery, lattice.robot)
+    ends = asked.places(wanted.start, "start"), asked.places(wanted.goal, "goal")
+    options = {name: getattr(wanted, name) for name in SearchOptions.model_fields}
+    plan = plan_by(asked.planner, *ends, wanted.chosen_by, battery=battery, progress=progress, **options)
+    plan, lattice = asked.places.noted(plan), asked.planner.lattice
+    return Found(plan, lattice, None if battery is None else judge_routes(lattice, [plan.route], battery))
+
+
+def answer(found: Found, warnings: list[str]) -> dict[str, Any]:
+    """The values of `PathOut`."""
+    from joulemap.service.schemas.answers import path_values
+
+    return path_values(found.plan, found.verdict, warnings)
+
+
+def track(found: Found, warnings: list[str]) -> Track:
+    """The paths for other programs."""
+    from joulemap.service.exports.track import track_of_plan
+    from joulemap.service.schemas.answers import verdict_out
+
+    battery = None if found.verdict is None else verdict_out(found.verdict).model_dump()
+    return track_of_plan(found.plan, found.lattice, warnings=warnings, battery=battery)

@@ -29,7 +29,8 @@ from joulemap.service.commands.console import Output
 from joulemap.service.commands.maps import MOST_VALUES
 
 READING = {"--resolution", "--west", "--north", "--crs", "--scale", "--offset", "--nodata", "--band"}
-COMMANDS = get_command(app).commands  # type: ignore[attr-defined]
+GROUP = get_command(app)
+COMMANDS = {name: GROUP.get_command(None, name) for name in GROUP.commands}  # type: ignore[attr-defined]
 
 
 def joulemap(*arguments: object) -> tuple[int, str, str]:
