@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
+from joulemap.model.ranges import NOISE_M
 from joulemap.model.threads import pieces, share_out
 
 FloatArray = NDArray[np.float32]
@@ -25,7 +26,6 @@ NOISE_SHARES = (0.8908, 0.2007, 0.0857)
 """Standard deviation of the details of white noise of unit standard deviation, per scale (Starck & Murtagh 2006)."""
 LEAST_NOISE_M = 0.003
 """Noise below this changes no price by 1 %, and rough ground alone may look like it."""
-MOST_NOISE_M = 10.0
 _HALF_SIDE = 3
 """The ground is taken to be alike within 7 x 7 cells."""
 MARGIN_CELLS = 2 * (2 * (2 ** len(NOISE_SHARES) - 1) + _HALF_SIDE)
@@ -46,11 +46,11 @@ _NORMAL = 1.4826
 
 def check_noise(noise_m: float | None) -> None:
     """Check a standard deviation that somebody gives [m]; raises HeightmapError where it cannot be one."""
-    if noise_m is not None and not 0.0 <= noise_m <= MOST_NOISE_M:
+    if noise_m is not None and noise_m not in NOISE_M:
         raise HeightmapError(
-            f"`noise_m`, the noise of a survey, must lie in 0..{MOST_NOISE_M:g} m, got {noise_m:g}",
+            f"`noise_m`, the noise of a survey, must lie in 0..{NOISE_M.high:g} m, got {noise_m:g}",
             noise_m=str(noise_m),
-            limit=MOST_NOISE_M,
+            limit=NOISE_M.high,
         )
 
 

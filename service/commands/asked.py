@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import inspect
 import re
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -20,15 +22,16 @@ import typer
 
 from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.battery_file import BatteryFile, battery_values
-from joulemap.service.commands.console import PlainErrors, parse_point, parse_share
+from joulemap.service.commands.console import Output, PlainErrors, parse_point, parse_share
 from joulemap.service.commands.options import there
 from joulemap.service.commands.route_files import PLACE
 from joulemap.service.words import capital
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from joulemap.model.frames import GridFrame
     from joulemap.service.questions.fields import Field
-    from joulemap.service.questions.parts import OnMap
 
 _TYPES = {"integer": int, "number": float, "string": str, "boolean": bool, "array": list}
 _METAVARS = {"m": "M", "s": "S", "w": "W", "wh": "WH", "percent": "PERCENT"}  # by the unit that a name ends with
@@ -108,7 +111,7 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     asked: dict[str, list[inspect.Parameter]] = {}
     for name, parameter in inspect.signature(command).parameters.items():
         kind = hints[name]
-        if get_origin(kind) is Annotated and get_args(kind)[0] is Wanted:
+        if get_origin(kind) is Annotated and isinstance(get_args(kind)[1], str):
             place, *without = get_args(kind)[1].split(" -")
             module, _, request = place.partition(":")
             asked[name] = list(_options_of(getattr(import_module(module), request), without))
@@ -120,13 +123,31 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
         for name, options in asked.items():
             typed = {option.name: given.pop(option.name) for option in options}
             changed = {option.name for option in options if typed[option.name] != option.default}
-            given[name] = Wanted(_joined(typed), frozenset(changed | ({"battery"} & typed.keys())))
-        command(**given)
+            wanted = Wanted(_joined(typed), frozenset(changed | ({"battery"} & typed.keys())))
+            given[name] = wanted if get_args(hints[name])[0] is Wanted else wanted.typed
+        with _warnings_said():
+            command(**given)
 
     _command.__name__, _command.__doc__ = command.__name__, command.__doc__
     _command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     _command.__annotations__ = {one.name: one.annotation for one in parameters}
     return _command
+
+
+@contextmanager
+def _warnings_said() -> Iterator[None]:
+    """Say what the library warns of as commands say it, and not as Python does."""
+    usual = warnings.showwarning
+
+    def _say(message: Any, category: type[Warning], filename: str, *more: Any, **rest: Any) -> None:
+        if category is UserWarning and "joulemap" in filename:
+            Output(None).warn([str(message)])
+        else:
+            usual(message, category, filename, *more, **rest)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = _say
+        yield
 
 
 def _joined(typed: dict[str, Any]) -> dict[str, Any]:
@@ -137,10 +158,11 @@ def _joined(typed: dict[str, Any]) -> dict[str, Any]:
     return {**typed, "battery": {**battery_values(typed["battery"], typed.pop("capacity_wh")), **state}}
 
 
-def _options_of(request: type[OnMap], without: Sequence[str]) -> Iterator[inspect.Parameter]:
+def _options_of(request: type[BaseModel], without: Sequence[str]) -> Iterator[inspect.Parameter]:
     from joulemap.service.questions.fields import fields_of, value_of
 
     needed, others = fields_of(request)
+    panel = None if "robot" in request.model_fields else (request.__doc__ or "").rstrip(".")
     fields = {name: field for name, field in (needed | others).items() if name not in without}
     for name, field in fields.items():
         if name in _FILES:
@@ -155,21 +177,27 @@ def _options_of(request: type[OnMap], without: Sequence[str]) -> Iterator[inspec
             yield from (_option(one, known[one], fields) for one in own)
             yield _parameter(name, BatteryFile, None)
         else:
-            yield _option(name, field, fields, needed=name in needed)
+            yield _option(name, field, fields, needed=name in needed, rich_help_panel=panel)
 
 
-def _option(name: str, field: Field, fields: Mapping[str, Field], *, needed: bool = False) -> inspect.Parameter:
+def _option(
+    name: str, field: Field, fields: Mapping[str, Field], *, needed: bool = False, **more: Any
+) -> inspect.Parameter:
     """The option of a number, a text, a flag, a place or a list of places."""
     from joulemap.service.questions.fields import is_place, value_of
 
     value, flag = value_of(field), _flag(name)
     kind: Any = _TYPES[value["type"]]
     names, default = [flag], ... if needed else field.get("default")
-    words: dict[str, Any] = {"help": _sentence(field, fields)}
+    words: dict[str, Any] = {"help": _sentence(field, fields), **more}
     low, high = value.get("minimum"), value.get("maximum")
     if kind is list:
         several, default = not is_place(value), default or None
-        words = {"metavar": "X,Y..." if several else "X,Y", "parser": parse_point, "help": f"{capital(name)}: {PLACE}."}
+        words |= {
+            "metavar": "X,Y..." if several else "X,Y",
+            "parser": parse_point,
+            "help": f"{capital(name)}: {PLACE}.",
+        }
         kind = list[Any] if several else Any
     elif kind is bool:
         names = [f"{flag}/--no-{flag[2:]}"] if default else [flag, *(["--round-trip"] if name == "round_trip" else ())]
@@ -177,8 +205,10 @@ def _option(name: str, field: Field, fields: Mapping[str, Field], *, needed: boo
         words |= {"metavar": "0..1", "parser": parse_share}
     elif kind in (int, float):
         share = high is not None and high <= 1.0  # the upper ends of others protect a service that many share
-        words |= {"min": low, "max": high if share else None}
+        words |= {"min": low if low is not None and low >= 0 else None, "max": high if share else None}
         words["metavar"] = "0..1" if share else "N" if kind is int else _METAVARS.get(name.rpartition("_")[2], "NUMBER")
+    else:
+        words["metavar"] = name.upper()
     if default is None and kind is not Any:
         kind = kind | None
     return _parameter(name, Annotated[kind, typer.Option(*names, **words)], default)

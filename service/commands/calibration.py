@@ -25,7 +25,6 @@ from joulemap.service.commands.options import (
     find_runs,
     named_sites,
     reading_words,
-    reads_heightmap,
     robot_of,
 )
 from joulemap.service.commands.route_files import RouteCoordinates, RouteFiles, RouteFormatName, wanted_files
@@ -71,7 +70,6 @@ SumOfCurrents = Annotated[
 ]
 
 
-@reads_heightmap
 def calibrate(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report.json, report.html and model/.")],
     runs: MaybeRuns = None,
@@ -342,7 +340,6 @@ def _pace(drive: Mapping[str, Any]) -> str:
     return " and ".join(f"{v:.2f} m/s" for v in drive["speeds_mps"])
 
 
-@reads_heightmap
 def suggest_drive(
     runs: MaybeRuns = None,
     heightmap: MaybeHeightmap = None,

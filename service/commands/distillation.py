@@ -17,14 +17,12 @@ from joulemap.service.commands.options import (
     Runs,
     find_runs,
     known_model,
-    reads_heightmap,
     refuse_to_replace,
     robot_of,
     there,
 )
 
 
-@reads_heightmap
 def distill(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write the model to.")],
     teacher: Annotated[

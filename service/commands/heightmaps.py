@@ -14,7 +14,6 @@ from joulemap.service.commands.options import (
     Reading,
     RobotFile,
     find_runs,
-    reads_heightmap,
     refuse_to_replace,
     robot_of,
     there,
@@ -28,7 +27,6 @@ CAMPAIGN_FILE = "campaign.toml"
 """What `--each` writes beside the maps: which run belongs to which map."""
 
 
-@reads_heightmap
 def info(
     heightmap: Annotated[Path, typer.Argument(metavar="HEIGHTMAP", callback=there, help=f"{formats_in_words()}.")],
     robot: RobotFile = None,

@@ -26,7 +26,6 @@ from joulemap.service.commands.options import (
     Reading,
     RobotFile,
     png,
-    reads_heightmap,
     refuse_to_replace,
     robot_of,
     there,
@@ -62,7 +61,6 @@ MapFolder = Annotated[
 ]
 
 
-@reads_heightmap
 def costmap(
     heightmap: Annotated[
         Path,

@@ -23,7 +23,6 @@ from joulemap.service.commands.options import (
     Sites,
     known_model,
     named_sites,
-    reads_heightmap,
     refuse_to_replace,
     there,
 )
@@ -41,7 +40,6 @@ Architecture = StrEnum("Architecture", {name.upper(): name for name in ARCHITECT
 _DEFAULT = Architecture(DEFAULT_ARCHITECTURE)
 
 
-@reads_heightmap
 def train(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write the model to.")],
     heightmap: MaybeHeightmap = None,
@@ -185,7 +183,6 @@ def train(
     output.document({"out": str(out), **made})
 
 
-@reads_heightmap
 def evaluate(
     heightmap: MaybeHeightmap = None,
     runs: MaybeRuns = None,

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import inspect
 import re
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import wraps
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from joulemap.model.errors import ConflictError, NotFoundError
-from joulemap.service.commands.console import Output
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
@@ -160,169 +155,17 @@ Snap = Annotated[
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is at `--out` already.")]
 
 
-class Reading(TypedDict):
-    """How a heightmap's file is to be read, as `read_heightmap` takes it: what the file itself does not say."""
-
-    resolution_m: float | None
-    west_m: float
-    north_m: float | None
-    crs: str | None
-    scale_m: float | None
-    offset_m: float
-    nodata: float | None
-    band: int | None
-    reproject: str | None
-    window: str | None
-    noise_m: float | None
+Reading = Annotated[dict[str, Any], "joulemap.service.questions.reading:UploadOptions -name"]
+"""How a heightmap's file is to be read, as `read_heightmap` takes it."""
 
 
-def _heightmap_option(help: str, **more: Any) -> Any:
-    return typer.Option(help=help, rich_help_panel="What the heightmap file does not say", **more)
+def reading_words(reading: Mapping[str, Any]) -> list[str]:
+    """The options that say how a heightmap's file is to be read, as they are typed, where they differ from usual."""
+    from joulemap.service.questions.reading import UploadOptions
 
-
-_READING: dict[str, tuple[str, Any, Any]] = {  # option -> what the library calls it, type, default
-    "resolution": (
-        "resolution_m",
-        Annotated[float | None, _heightmap_option("Side of a cell [m].", metavar="M")],
-        None,
-    ),
-    "west": ("west_m", Annotated[float, _heightmap_option("x of the western edge [m].", metavar="X")], 0.0),
-    "north": (
-        "north_m",
-        Annotated[
-            float | None, _heightmap_option("y of the northern edge [m]. [default: southern edge at 0]", metavar="Y")
-        ],
-        None,
-    ),
-    "crs": (
-        "crs",
-        Annotated[str | None, _heightmap_option("Coordinate system in metres, like EPSG:32630.", metavar="CRS")],
-        None,
-    ),
-    "scale": (
-        "scale_m",
-        Annotated[
-            float | None,
-            _heightmap_option("Metres per stored unit; a picture needs it. [default: 1]", metavar="M"),
-        ],
-        None,
-    ),
-    "offset": ("offset_m", Annotated[float, _heightmap_option("Height of the stored value 0 [m].", metavar="M")], 0.0),
-    "nodata": (
-        "nodata",
-        Annotated[float | None, _heightmap_option("Stored value that means unknown.", metavar="VALUE")],
-        None,
-    ),
-    "band": (
-        "band",
-        Annotated[int | None, _heightmap_option("Band or variable with the heights, from 1.", min=1, metavar="N")],
-        None,
-    ),
-    "reproject": (
-        "reproject",
-        Annotated[
-            str | None,
-            _heightmap_option(
-                "Resample a map in degrees, feet or Web Mercator, rotated or with oblong cells, to true metres: `auto` "
-                "(its UTM zone) or EPSG:n. `--resolution` is then the side of the new cells.",
-                metavar="auto|CRS",
-            ),
-        ],
-        None,
-    ),
-    "window": (
-        "window",
-        Annotated[
-            str | None,
-            _heightmap_option(
-                "Read a part of the map: two opposite corners, x,y of its CRS or latitude,longitude.",
-                metavar="X,Y,X,Y",
-            ),
-        ],
-        None,
-    ),
-    "noise": (
-        "noise_m",
-        Annotated[
-            float | None,
-            _heightmap_option(
-                "Standard deviation of the survey's noise [m]; 0 takes the map as it is. [default: estimated from it]",
-                metavar="M",
-                min=0.0,
-            ),
-        ],
-        None,
-    ),
-}
-
-
-@contextmanager
-def _warnings_said() -> Iterator[None]:
-    """Say what `read_heightmap` warns of as commands say it, and not as Python does."""
-    usual = warnings.showwarning
-
-    def _say(message: Any, category: type[Warning], filename: str, *more: Any, **rest: Any) -> None:
-        if category is UserWarning and "joulemap" in filename:
-            Output(None).warn([str(message)])
-        else:
-            usual(message, category, filename, *more, **rest)
-
-    with warnings.catch_warnings():
-        warnings.showwarning = _say
-        yield
-
-
-def reads_heightmap(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options that say how its heightmap's file is to be read.
-
-    Parameters
-    ----------
-    command : callable
-        Its parameter `reading` gets their values as a `Reading`.
-
-    Returns
-    -------
-    callable
-        The command with `--resolution`, `--west`, `--north`, `--crs`, `--scale`, `--offset`, `--nodata`, `--band`,
-        `--reproject`, `--window`, `--noise`.
-    """
-    hints = get_type_hints(command, include_extras=True)
-    parameters = []
-    for name, parameter in inspect.signature(command).parameters.items():
-        if name == "reading":
-            parameters += [
-                inspect.Parameter(option, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=default)
-                for option, (_, kind, default) in _READING.items()
-            ]
-        else:
-            parameters.append(parameter.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY))
-
-    @wraps(command)
-    def with_options(**given: Any) -> None:
-        reading = {key: given.pop(option) for option, (key, _, _) in _READING.items()}
-        with _warnings_said():
-            command(reading=reading, **given)
-
-    with_options.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    with_options.__annotations__ = {p.name: p.annotation for p in parameters}
-    return with_options
-
-
-def reading_words(reading: Reading) -> list[str]:
-    """Return the options that say how a heightmap's file is to be read, as they are typed.
-
-    Parameters
-    ----------
-    reading : Reading
-        What a command was given.
-
-    Returns
-    -------
-    list of str
-        Options that differ from their defaults, and their values.
-    """
-    given = {option: (reading[key], default) for option, (key, _, default) in _READING.items()}  # type: ignore[literal-required]
-    return [word for name, (value, usual) in given.items() if value != usual for word in (f"--{name}", str(value))]
+    usual = {name: field.default for name, field in UploadOptions.model_fields.items()}
+    given = {name: value for name, value in reading.items() if value != usual[name]}
+    return [word for name, value in given.items() for word in (f"--{name.removesuffix('_m')}", str(value))]
 
 
 def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
@@ -403,7 +246,7 @@ def named_sites(
     site: list[str] | None,
     campaign: Path | None,
     robot: Path | None,
-    reading: Reading,
+    reading: Mapping[str, Any],
 ) -> list[Site]:
     """Return the sites that a command line names.
 
@@ -417,7 +260,7 @@ def named_sites(
         A campaign file.
     robot : Path, optional
         Robot file of the sites that name none.
-    reading : Reading
+    reading : mapping
         How the heightmaps are to be read.
 
     Returns

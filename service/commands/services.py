@@ -9,7 +9,7 @@ import typer
 
 from joulemap.service.commands.console import JsonFile, Output, parse_point, progress_bar, write_file
 from joulemap.service.commands.data_folder import opened_store, settings_of, writable
-from joulemap.service.commands.options import Reading, reads_heightmap, there
+from joulemap.service.commands.options import Reading, there
 
 _SWITCH_S = 0.001
 """How long the event loop waits for a thread that computes in Python; Python's own is 5 ms, for each thread."""
@@ -77,7 +77,6 @@ def _end(number: int, _frame: object) -> None:
     signal.raise_signal(number)
 
 
-@reads_heightmap
 def demo(
     exit_after: Annotated[bool, typer.Option("--exit", help="Stop the service at the end.")] = False,
     heightmap: Annotated[

@@ -9,14 +9,13 @@ import typer
 
 from joulemap.service.commands.asked import Wanted
 from joulemap.service.commands.console import JsonFile, Output
-from joulemap.service.commands.options import ModelName, Reading, reads_heightmap, there
+from joulemap.service.commands.options import ModelName, Reading, there
 from joulemap.service.commands.remote import Key, MapOrId, Server, served
 from joulemap.service.words import duration_words, energy_words
 
 _SHOWN = 9  # rows of the table, of all speeds
 
 
-@reads_heightmap
 def speeds(
     costmap: MapOrId,
     wanted: Annotated[Wanted, "joulemap.service.questions.speeds:SpeedsRequest"],

@@ -24,8 +24,9 @@ from joulemap.service.http.document_rules import (
     statuses_of,
 )
 from joulemap.service.problems import MEDIA_TYPE
+from joulemap.service.questions.reading import UploadOptions
 from joulemap.service.schemas.base import Problem
-from joulemap.service.schemas.maps import CostmapOptions, CostmapRequest, UploadOptions
+from joulemap.service.schemas.maps import CostmapOptions, CostmapRequest
 
 _REF = "#/components/schemas/{model}"
 _FILE = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}

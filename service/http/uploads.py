@@ -18,7 +18,7 @@ from joulemap.model.errors import InputError
 from joulemap.model.ranges import LONGEST_NAME
 from joulemap.service.http.long_questions import unless_gone
 from joulemap.service.http.service import Service
-from joulemap.service.schemas.maps import UploadOptions
+from joulemap.service.questions.reading import UploadOptions
 from joulemap.service.storage.tables import HeightmapRow, RunsRow
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pydantic import BaseModel
+
 from joulemap.service.questions.parts import OnMap
 
 Field = Mapping[str, Any]
@@ -12,7 +14,7 @@ _OF_HTTP = ("robot", "profile")
 """Where the caller holds the cost map, its robot is known; the Python package answers charge and voltage otherwise."""
 
 
-def fields_of(request: type[OnMap]) -> tuple[dict[str, Field], dict[str, Field]]:
+def fields_of(request: type[BaseModel]) -> tuple[dict[str, Field], dict[str, Field]]:
     """Return the fields that must be given, and the others: its own first, then what all questions have."""
     schema = request.model_json_schema()
     last = list(OnMap.model_fields)

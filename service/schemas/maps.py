@@ -7,14 +7,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from joulemap.model.ranges import COORDINATE_M, HEADINGS, HEIGHT_M, RESOLUTION_M, SCALE_M, SPACING_M, STORED
-from joulemap.model.terrain.denoising import MOST_NOISE_M
+from joulemap.model.ranges import HEADINGS, SPACING_M
 from joulemap.planner.lattice.build import DEFAULT_HEADINGS
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.schemas.base import (
-    ClosedModel,
     JobOut,
-    Name,
     Problem,
     Request,
     ResponseModel,
@@ -22,65 +19,6 @@ from joulemap.service.schemas.base import (
     RobotOut,
     within,
 )
-
-
-class UploadOptions(ClosedModel):
-    """What a heightmap file may not say itself; as query parameters or form fields."""
-
-    name: Name | None = Field(default=None, description="name of the heightmap; default: the file's name")
-    resolution_m: Annotated[float, within(RESOLUTION_M)] | None = Field(
-        default=None,
-        description="side of a cell [m]; needed where the file does not say it, refused where the file says another",
-    )
-    west_m: Annotated[float, within(COORDINATE_M)] = Field(
-        default=0.0, description="x of the map's west edge [m], where the file does not say"
-    )
-    north_m: Annotated[float, within(COORDINATE_M)] | None = Field(
-        default=None,
-        description="y of the map's north edge [m], where the file does not say; default: the south edge is y = 0",
-    )
-    crs: str | None = Field(
-        default=None,
-        min_length=1,
-        max_length=4000,
-        description="CRS in metres, e.g. EPSG:32630, where the file does not say",
-    )
-    scale_m: Annotated[float, within(SCALE_M)] | None = Field(
-        default=None, description="metres per stored unit; a picture (PNG) needs it, unless its colours are heights"
-    )
-    offset_m: Annotated[float, within(HEIGHT_M)] = Field(default=0.0, description="height of the stored value 0 [m]")
-    nodata: Annotated[float, within(STORED)] | None = Field(
-        default=None,
-        description="stored value that means unknown, where the file does not declare it",
-    )
-    band: int | None = Field(
-        default=None,
-        ge=1,
-        le=65_535,
-        description="band or variable that holds the heights, from 1; a file with several needs it",
-    )
-    reproject: str | None = Field(
-        default=None,
-        min_length=1,
-        max_length=4000,
-        description="resample a map in degrees, feet or Web Mercator, rotated or with oblong cells, to true metres: "
-        "`auto` (its UTM zone), EPSG:n or WKT; `resolution_m` is then the side of the new cells",
-        examples=["auto"],
-    )
-    window: str | None = Field(
-        default=None,
-        min_length=7,
-        max_length=200,
-        description="read a part of the map: two opposite corners, x,y of its CRS or latitude,longitude",
-        examples=["366990,4064300,367080,4064400"],
-    )
-    noise_m: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=MOST_NOISE_M,
-        description="standard deviation of the survey's noise [m]; 0 takes the map as it is; estimated by default",
-        examples=[0.05],
-    )
 
 
 class HeightmapOut(ResponseModel):

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from joulemap.service.commands.arguments import Command
+from joulemap.service.commands.asked import with_options
 from joulemap.service.commands.console import JsonFile, Output, PlainErrors, progress_bar
 from joulemap.service.commands.options import (
     HeightmapFile,
@@ -17,7 +18,6 @@ from joulemap.service.commands.options import (
     RobotFile,
     Runs,
     find_runs,
-    reads_heightmap,
     robot_of,
     there,
 )
@@ -112,7 +112,7 @@ def reproduce(
 
 
 @app.command(cls=Command)
-@reads_heightmap
+@with_options
 def baselines(
     heightmap: HeightmapFile,
     runs: Runs,

@@ -19,9 +19,10 @@ from joulemap.service.http.documents import costmap_body, problems
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.service import Service
 from joulemap.service.http.uploads import invalid, media_type, take_form
+from joulemap.service.questions.reading import UploadOptions
 from joulemap.service.schemas.base import UnreadableOut, robot_values
 from joulemap.service.schemas.kept import costmap_out, listed, shown
-from joulemap.service.schemas.maps import CostmapOptions, CostmapOut, CostmapRequest, UploadOptions
+from joulemap.service.schemas.maps import CostmapOptions, CostmapOut, CostmapRequest
 from joulemap.service.storage.tables import CostmapRow, HeightmapRow
 
 router = APIRouter(prefix="/costmaps", tags=["cost maps"])

@@ -10,9 +10,10 @@ from pydantic import BaseModel
 from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import problems, upload_body
 from joulemap.service.http.uploads import media_type, take_form, take_raw
+from joulemap.service.questions.reading import UploadOptions
 from joulemap.service.schemas.base import UnreadableOut
 from joulemap.service.schemas.kept import heightmap_out, listed, shown
-from joulemap.service.schemas.maps import HeightmapOut, UploadOptions
+from joulemap.service.schemas.maps import HeightmapOut
 
 router = APIRouter(prefix="/heightmaps", tags=["heightmaps"])
 
