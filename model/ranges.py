@@ -131,11 +131,5 @@ OBJECTIVES = ("mean", "quantile", "arrival")
 QUANTILE = Range(0.5, 0.99)
 """A share of drives, or a probability, that may be asked for: beyond, the tails of the distribution are not known."""
 
-MOST_CHARGES = 10
-"""States of charge in one question for reach."""
-
-MOST_CHARGING = 16
-"""Places to charge in one question for the point of no return."""
-
-MOST_STOPS = 60
-"""Stops of a tour."""
+MAX_CHARGES, MAX_CHARGING, MAX_STOPS = 10, 16, 60
+"""Most states of charge for reach, places to charge for the point of no return, and stops of a tour, in a question."""

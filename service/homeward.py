@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
-from joulemap.model.ranges import MOST_CHARGING
+from joulemap.model.ranges import MAX_CHARGING
 from joulemap.planner.pricing.integrator import world_points
 from joulemap.planner.route import pieces_of, price_route
 from joulemap.planner.route_planner import RoutePlanner
@@ -109,9 +109,9 @@ def homeward(
         raise InputError(
             "this cost map is too large for energies home from everywhere: cut out the part around the path"
         )
-    if len(charging) > MOST_CHARGING:
+    if len(charging) > MAX_CHARGING:
         raise InputError(
-            f"{len(charging)} places to charge are too many: give at most {MOST_CHARGING}", limit=MOST_CHARGING
+            f"{len(charging)} places to charge are too many: give at most {MAX_CHARGING}", limit=MAX_CHARGING
         )
     lattice = planner.lattice
     row, col = lattice.frame.cell_of(*position, name="position")

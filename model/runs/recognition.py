@@ -32,7 +32,6 @@ CONFIDENCE = {NAMED: 0.99, LIKELY: 0.95, POSSIBLE: 0.7, 0: 0.6}
 """Of a reading by its name alone; 0 is a column that only its unit points to."""
 _MAY_BE_CONSTANT = ("voltage", "z", "soc", "t")
 _BY_UNIT = {"t": ("s", "ms"), "voltage": ("V", "mV"), "current": ("A", "mA"), "speed": ("km/h", "m/s", "mph")}
-_EXAMPLE = {"current": "A", "voltage": "V", "power": "W", "t": "s", "speed": "km/h"}
 _AGREE = 0.2  # of power with voltage times current, in the median
 
 

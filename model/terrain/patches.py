@@ -12,9 +12,6 @@ from joulemap.model.errors import InputError
 from joulemap.model.frames import heading_vector
 from joulemap.model.terrain.heightmap import FloatArray, Heightmap, bilinear
 
-PAPER_SIZE = 256
-"""Rows and columns of the paper's patch matrix."""
-
 
 def cut_patches(
     heightmap: Heightmap, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike, *, size: int = 32, side_m: float = 1.0

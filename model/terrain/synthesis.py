@@ -104,9 +104,6 @@ HILLSIDE = TerrainRecipe(
 FIELD = TerrainRecipe(max_slope_deg=4.0, roughness_rms_m=0.01, furrow_depth_m=0.08, track_count=4)
 """A ploughed field with furrows and tractor tracks."""
 
-RECIPES = {"park": PARK, "hillside": HILLSIDE, "field": FIELD}
-"""The ready recipes by name."""
-
 
 def make_terrain(recipe: TerrainRecipe, frame: GridFrame, rng: Generator) -> Heightmap:
     """Make the terrain of a recipe; its mean height is 0."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from joulemap.planner.planners.contract import Options, Planner
@@ -12,26 +13,14 @@ if TYPE_CHECKING:  # names of planners are listed without what searches
     from joulemap.planner.pricing.moves import MoveTable
 
 
-def _astar(
-    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options
-) -> tuple[Points, dict[str, Any]]:
-    return _searched(lattice, table, start, goal, "astar")
-
-
-def _dijkstra(
-    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options
-) -> tuple[Points, dict[str, Any]]:
-    return _searched(lattice, table, start, goal, "dijkstra")
-
-
 def _searched(
-    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, planner: str
+    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options, *, name: str
 ) -> tuple[Points, dict[str, Any]]:
     from joulemap.planner.grid.search import grid_search
 
-    found = grid_search(lattice, table, start, goal, planner=planner)
+    found = grid_search(lattice, table, start, goal, planner=name)
     return found.points, {"expanded": found.expanded, "grid_energy_j": found.energy_j}
 
 
-ASTAR = Planner("astar", _astar)
-DIJKSTRA = Planner("dijkstra", _dijkstra)
+ASTAR = Planner("astar", partial(_searched, name="astar"))
+DIJKSTRA = Planner("dijkstra", partial(_searched, name="dijkstra"))

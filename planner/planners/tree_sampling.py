@@ -64,8 +64,7 @@ def _from_grid(
     return points if better else grid.points, details | found
 
 
-RRTSTAR = Planner("rrtstar", partial(_tree, name="rrtstar"), uses_time_limit=True, weighs_turning=False)
-INFORMED_RRTSTAR = Planner(
-    "informed_rrtstar", partial(_tree, name="informed_rrtstar"), uses_time_limit=True, weighs_turning=False
-)
-BITSTAR = Planner("bitstar", _bitstar, uses_time_limit=True, weighs_turning=False)
+_sampling = partial(Planner, uses_time_limit=True, weighs_turning=False)
+RRTSTAR = _sampling("rrtstar", partial(_tree, name="rrtstar"))
+INFORMED_RRTSTAR = _sampling("informed_rrtstar", partial(_tree, name="informed_rrtstar"))
+BITSTAR = _sampling("bitstar", _bitstar)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import BusyError, InputError, NoRouteError
-from joulemap.model.ranges import MOST_STOPS
+from joulemap.model.ranges import MAX_STOPS
 from joulemap.planner.grid.fields import field_towards
 from joulemap.planner.grid.search import GridPath
 from joulemap.planner.lattice import CostLattice
@@ -62,7 +62,7 @@ def cheapest_tour(
     table : MoveTable
         Priced moves of the lattice.
     stops : ndarray of float, (n, 2)
-        Fractional (row, col) of 2 to `MOST_STOPS` stops.
+        Fractional (row, col) of 2 to `MAX_STOPS` stops.
     time_limit_s : float, default 10.0
         Longest time for the search of the order [s].
     progress : callable, optional
@@ -90,10 +90,8 @@ def cheapest_tour(
     ways. OR-tools' CP-SAT then finds the order over a circuit constraint, exactly unless the time runs out: the
     asymmetric travelling salesman problem.
     """
-    if not 2 <= len(stops) <= MOST_STOPS:
-        raise InputError(
-            f"a tour has 2 to {MOST_STOPS} stops, got {len(stops)}", stops=len(stops), limit=[2, MOST_STOPS]
-        )
+    if not 2 <= len(stops) <= MAX_STOPS:
+        raise InputError(f"a tour has 2 to {MAX_STOPS} stops, got {len(stops)}", stops=len(stops), limit=[2, MAX_STOPS])
     energies = np.zeros((len(stops), len(stops)))
     paths: dict[tuple[int, int], GridPath] = {}
     for j, goal in enumerate(stops):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from joulemap.model.ranges import MOST_CHARGING, QUANTILE
+from joulemap.model.ranges import MAX_CHARGING, QUANTILE
 from joulemap.service.questions.parts import BatteryIn, OnMap, battery_of, on_map
 from joulemap.service.schemas.base import GivenPath, Place
 
@@ -32,7 +32,7 @@ class ReturnRequest(OnMap):
         description="the rest of the path, world points [m], in order; without it, only whether it still comes home",
     )
     charging: list[Place] = Field(
-        default=[], max_length=MOST_CHARGING, description="places to charge", examples=[[[60.0, 20.0]]]
+        default=[], max_length=MAX_CHARGING, description="places to charge", examples=[[[60.0, 20.0]]]
     )
     battery: BatteryIn | None = Field(
         default=None, description="with the charge now; default: the robot's own, full, without a reserve"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field
 
 from joulemap.model.errors import InputError
-from joulemap.model.ranges import BATTERY, MOST_CHARGES, QUANTILE
+from joulemap.model.ranges import BATTERY, MAX_CHARGES, QUANTILE
 from joulemap.service.questions.parts import BatteryIn, OnMap, battery_of, on_map
 from joulemap.service.schemas.base import Place, ResponseModel, within
 
@@ -31,7 +31,7 @@ class ReachRequest(OnMap):
     charges: list[Annotated[float, within(BATTERY["charge"])]] | None = Field(
         default=None,
         min_length=1,
-        max_length=MOST_CHARGES,
+        max_length=MAX_CHARGES,
         description="states of charge at the start, 0..1, each answered on its own; default: that of the battery",
         examples=[[0.4, 0.6, 0.8]],
     )
@@ -86,8 +86,8 @@ def ask(planner: AnyPlanner, wanted: ReachRequest) -> ReachMap:
     asked, battery = on_map(planner, wanted), battery_of(wanted.battery, planner.lattice.robot)
     start = asked.places(wanted.start, "start")
     levels = (battery.charge,) if wanted.charges is None else tuple(float(charge) for charge in wanted.charges)
-    if not 1 <= len(levels) <= MOST_CHARGES:
-        raise InputError(f"`charges` has {len(levels)} values; from 1 to {MOST_CHARGES} can be answered at a time")
+    if not 1 <= len(levels) <= MAX_CHARGES:
+        raise InputError(f"`charges` has {len(levels)} values; from 1 to {MAX_CHARGES} can be answered at a time")
     batteries = [replace(battery, charge=charge) for charge in levels]
     if isinstance(planner, StoredPlanner):
         raise InputError(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
-from joulemap.model.ranges import MOST_STOPS, SEARCH_S
+from joulemap.model.ranges import MAX_STOPS, SEARCH_S
 from joulemap.service.questions.parts import BatteryIn, OnMap, battery_of, on_map
 from joulemap.service.schemas.base import Place, Request, within
 
@@ -39,7 +39,7 @@ class TourRequest(TourOptions, OnMap):
 
     stops: list[Place] = Field(
         min_length=2,
-        max_length=MOST_STOPS,
+        max_length=MAX_STOPS,
         description="places to visit, world [x, y] [m]; the first is where the tour begins and ends",
         examples=[[[12.5, 40.5], [80.0, 15.0], [60.0, 50.0]]],
     )
