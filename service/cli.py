@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 from importlib.metadata import version
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -31,9 +31,28 @@ from joulemap.service.commands import (
 from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.asked import Commands, listed
 
+_NEW_OBJECTS = 50_000
+"""After so many new objects cycles are looked for: what libraries make while they load stays, and to look through it
+time and again took a sixth of the start-up."""
+_SMALL_PAGES = "NUMPY_MADVISE_HUGEPAGE", "0"
+"""NumPy asks Linux for pages of 2 MB. A virtual machine may have to fetch such a page from its host, which takes 5 to
+16 ms, and 4.5 times as long as the same memory in small pages; whatever waits for this processor or for the interpreter
+waits with it."""
+
+
+class Joulemap(Commands):
+    """The commands, in a process that is made ready for them."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that the context names."""
+        os.environ.setdefault(*_SMALL_PAGES)  # NumPy reads it once, when a command imports it
+        gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
+        return super().invoke(ctx)
+
+
 app = typer.Typer(
     name="joulemap",
-    cls=Commands,
+    cls=Joulemap,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode="markdown",
@@ -48,15 +67,6 @@ app = typer.Typer(
         "130 stopped by Ctrl-C, 1 anything else."
     ),
 )
-
-
-_NEW_OBJECTS = 50_000
-"""After so many new objects cycles are looked for: what libraries make while they load stays, and to look through it
-time and again took a sixth of the start-up."""
-_SMALL_PAGES = "NUMPY_MADVISE_HUGEPAGE", "0"
-"""NumPy asks Linux for pages of 2 MB. A virtual machine may have to fetch such a page from its host, which takes 5 to
-16 ms, and 4.5 times as long as the same memory in small pages; whatever waits for this processor or for the interpreter
-waits with it."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -76,8 +86,6 @@ def joulemap(
     From a heightmap: a directional cost map, the energy-optimal path, and whether the battery lasts. From measured
     runs: a model of your robot, and what it lacks.
     """
-    os.environ.setdefault(*_SMALL_PAGES)  # NumPy reads it once, when a command imports it
-    gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
 
 
 for _panel, _commands in (

@@ -101,9 +101,6 @@ HILLSIDE = TerrainRecipe(
 )
 """A steep rough hillside, up to 30 degrees."""
 
-FIELD = TerrainRecipe(max_slope_deg=4.0, roughness_rms_m=0.01, furrow_depth_m=0.08, track_count=4)
-"""A ploughed field with furrows and tractor tracks."""
-
 
 def make_terrain(recipe: TerrainRecipe, frame: GridFrame, rng: Generator) -> Heightmap:
     """Make the terrain of a recipe; its mean height is 0."""
