@@ -46,9 +46,9 @@ def changed_files() -> dict[str, str]:
 
 
 def test_two_files_are_changed_and_every_face_has_the_option(tmp_path: Path) -> None:
-    assert list(files := changed_files()) == ["service/questions/path.py", "planner/route_planner.py"]
+    assert list(changed_files()) == ["service/questions/path.py", "planner/route_planner.py"]
     run = [sys.executable, "-c", _TRY]
-    done = subprocess.run(run, input=json.dumps(files), cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(run, input=json.dumps(changed_files()), cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     assert ["efuse a path longer than this [m]" in text for text in found["shown"]] == [True] * 4
