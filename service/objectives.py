@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from joulemap.model.battery import Battery
@@ -159,21 +160,20 @@ def best_routes(
         sure = float(battery is not None and battery.available_j >= 0.0)
         return means, Weighed(objective.name, probability=sure, mean_probability=sure, gap=0.0)
     aim = _aim(objective, odds, spread, battery)
-    weighing = Weighing(planner, spread.correlation_m)
     ends = [world_points(planner.lattice, route.points[[0, -1]]) for route in means]
     searched = 0
 
-    def _solve(price: float) -> Priced[Routes]:
+    def _solve(tangent: _Tangent, weighing: Weighing, price: float) -> Priced[Routes]:
         nonlocal searched
         searched += 1
         if price == 0.0:
-            return _priced(means, spread.correlation_m, None)
+            return tangent.priced(means, price, None)
         check_stop()
         if progress is not None:
             progress(1.0 - 0.8**searched)
         found = [weighing.cheapest(start, goal, price, neighbours=neighbours, refine=refine) for start, goal in ends]
         routes = tuple(route for route, _ in found)
-        return _priced(routes, spread.correlation_m, None if refine else sum(bound for _, bound in found))
+        return tangent.priced(routes, price, None if refine else sum(bound for _, bound in found))
 
     def _worth(one: Priced[Routes]) -> float:
         if objective.name == QUANTILE:
@@ -184,7 +184,15 @@ def best_routes(
         volts = planner.lattice.robot.nominal_voltage_v
         return 1.0 - chance(course_of(one.ways), battery, nominal_voltage_v=volts, odds=odds_along(one.ways))
 
-    outcome = least(aim, _solve, worth=_worth)
+    def _around(routes: Routes) -> Outcome[Routes]:
+        """The best routes, with the tangent at some."""
+        tangent = _Tangent(spread, _sums(routes)[2])
+        weighing = Weighing(planner, spread.correlation_m, per_std_j=tangent.per_std_j)
+        return least(aim, partial(_solve, tangent, weighing), worth=_worth)
+
+    outcome = _around(means)
+    if spread.run_std_share > 0.0 and outcome.best is not outcome.mean:
+        outcome = outcome.joined(_around(outcome.best.ways), _worth)
     best, mean = _worth(outcome.best), _worth(outcome.mean)
     gap = _gap(aim, outcome, odds)
     if objective.name == QUANTILE:
@@ -222,12 +230,41 @@ def _aim(objective: Objective, odds: EnergyOdds, spread: Spread, battery: Batter
     return LeastQuantile(float(steps) * spread.skew**0.5, spread.run_share, spread.bias)
 
 
-def _priced(routes: Routes, correlation_m: float, least_j: float | None) -> Priced[Routes]:
+@dataclass(frozen=True)
+class _Tangent:
+    """The variance of routes, and a bound of it that adds up metre by metre.
+
+    The square of the sum S of standard deviations, which whole runs have in common, is no sum over metres. Its tangent
+    2 S0 S - S0^2 at some routes is, and lies below it: what is found with it is priced in full, and bounds stay bounds.
+    """
+
+    spread: Spread
+    std_j: float
+
+    @property
+    def per_std_j(self) -> float:
+        """Slope of the tangent [J]."""
+        return 2.0 * self.spread.run_std_share**2 * self.std_j
+
+    def priced(self, routes: Routes, price: float, least_j: float | None) -> Priced[Routes]:
+        """The routes that are cheapest at a price of the tangent; `least_j`: no others are cheaper, where that is known."""
+        share = self.spread.run_std_share
+        mean_j, of_metres, std_j = _sums(routes)
+        variance = self.spread.correlation_m * of_metres + (share * std_j) ** 2
+        if least_j is None:
+            bound_j = mean_j + price * (variance - (share * (std_j - self.std_j)) ** 2)
+        else:
+            bound_j = least_j - price * (share * self.std_j) ** 2
+        return Priced(routes, mean_j, variance, bound_j)
+
+
+def _sums(routes: Routes) -> tuple[float, float, float]:
+    """Mean energy [J], variance of the metres as if they were independent [J2], and their standard deviations [J]."""
     course = course_of(routes)
     assert course.std_j is not None
-    driven = course.driven_m
-    per_metre = course.std_j[driven > 0.0] ** 2 / driven[driven > 0.0]  # a piece is correlated in itself
-    return Priced(routes, sum(route.energy_j for route in routes), correlation_m * float(per_metre.sum()), least_j)
+    driven, std_j = course.driven_m, course.std_j
+    of_metres = std_j[driven > 0.0] ** 2 / driven[driven > 0.0]  # a piece is correlated in itself
+    return sum(route.energy_j for route in routes), float(of_metres.sum()), float(std_j.sum())
 
 
 def _gap(aim: Aim, outcome: Outcome[Routes], odds: EnergyOdds) -> float | None:

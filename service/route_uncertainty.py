@@ -54,7 +54,7 @@ def odds_of_energies(lattice: CostLattice, energy_j: ArrayLike) -> EnergyOdds | 
         return None
     spread, energy = Spread.from_dict(given), np.asarray(energy_j, dtype=np.float64)
     length_m = np.maximum(energy, 0.0) / max(per_metre, 1e-9)
-    of_run = (spread.run_share * energy) ** 2
+    of_run = spread.run_variance(energy, std * length_m)
     rest = std**2 * spread.correlation_m * length_m
     return EnergyOdds(energy, np.sqrt(of_run + rest), spread.freedom_of(of_run, rest), spread.bias, spread.skew)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -72,8 +72,7 @@ def checked_spread(
         return spread, None
     probabilities, groups = np.array(below), np.array(of)
     factor = _widened(probabilities, groups)
-    wider = replace(spread, run_share=spread.run_share * factor, correlation_m=spread.correlation_m * factor**2)
-    return wider, Reliability(probabilities, groups, factor)
+    return spread.widened(factor), Reliability(probabilities, groups, factor)
 
 
 def _probability(spread: Spread, energy: FloatArray, predicted: FloatArray, std: FloatArray) -> float:

@@ -1,22 +1,22 @@
 """How the errors of held-out runs add up along a route: run-to-run offset, correlation within runs, and tails.
 
-    error of n segments = E (bias + u_run) + sum of n correlated errors,      both with Student's t
+    error of n segments = E (bias + u_run) + S v_run + sum of n correlated errors,      all with Student's t
 
-where the median is the bias and errors above it may be larger than those below (a two-piece distribution). The
-parameters maximise the likelihood of the summed errors of stretches of 24, 48, ... segments (a composite marginal
+where E is their energy and S the sum of their standard deviations: what differs between runs is a share of the energy,
+or more where the model says that it knows less. The median is the bias, and errors above it may be larger than those
+below (a two-piece distribution). The parameters maximise the likelihood of the summed errors of stretches of 24, 48, ... segments (a composite marginal
 likelihood): what a verdict needs is the spread of sums, and neighbouring segments say little of it.
 
 Reference: Varin, Reid & Firth 2011, "An overview of composite likelihood methods". Lange, Little & Taylor 1989, "Robust
 statistical modeling using the t distribution". Wallis 2014, "The two-piece normal, binormal, or double Gaussian
-distribution". Schwarz 1978 (the criterion by which a bias and unequal sides are accepted).
+distribution". Schwarz 1978 (the criterion by which v_run, and a bias with unequal sides, are accepted).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,8 @@ NORMAL_FREEDOM = 100.0
 """More degrees of freedom than these are a normal distribution: their 95 % point differs by less than 1 %."""
 _STARTS = ((0.02, 4.0, 20.0), (0.1, 1.0, 20.0), (0.3, 0.5, 5.0))  # offset of a run, correlation length, freedom
 ENOUGH = 20
-"""Fewest groups for a bias and a skew: ten for each parameter (Peduzzi et al. 1996)."""
+"""Fewest groups for further parameters: ten for each (Peduzzi et al. 1996)."""
+_FURTHER = {(3,): (0.3,), (4, 5): (0.01, 0.1)}  # where the search starts: v_run; bias and logarithm of the skew
 _CORRELATIONS = (1.0 / 3.0, 1e6)
 """Of neighbours -1/2 at least, that of the differences of independent errors; below 1 they make up for each other."""
 _MOST_SKEW = math.log(10.0)
@@ -59,6 +60,8 @@ class RouteErrors:
         Scale above the median over that below it.
     groups : int
         Number of runs, or campaigns, that differ from each other.
+    run_std_share : float
+        Scale of the error of a whole run over the sum of the standard deviations of its segments.
     """
 
     run_share: float
@@ -67,14 +70,18 @@ class RouteErrors:
     bias: float
     skew: float
     groups: int
+    run_std_share: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums over stretches, one entry each: error [J], prediction [J], sum of variances [J2], segments, and weight."""
+    """Sums over stretches, one entry each: errors, predictions, standard deviations [J], variances [J2], segments, and
+    weight.
+    """
 
     error: FloatArray
     energy: FloatArray
+    std: FloatArray
     variance: FloatArray
     count: FloatArray
     weight: FloatArray
@@ -100,44 +107,64 @@ def fit_route_errors(
     each segment [J]; `run` (n,): of each segment, those of a run are in driving order; `group` (n,): what was left out
     together: the run, or its campaign. Result: every group and every length of stretch counts alike.
 
-    A bias and unequal sides are accepted where there are `ENOUGH` groups and the criterion of Schwarz (1978), with as
-    many observations as there are groups, says so: a few runs show neither. With so many groups scales and degrees of
-    freedom are those at which the intervals of `LEVELS` hold what they say.
+    An error of whole runs that grows with the standard deviations, and then a bias and unequal sides, are accepted
+    where there are `ENOUGH` groups and the criterion of Schwarz (1978), with as many observations as there are groups,
+    says so: a few runs show neither. With so many groups scales and degrees of freedom are those at which the intervals
+    of `LEVELS` hold what they say.
     """
     sums = _sums(error_j, energy_j, std_j, run, group)
-    from scipy.special import gammaln  # loads slowly, and only fits need it
-
     groups = int(np.unique(group).size)
+    free = [0, 1, 2]
+    loss, x = min((_least(sums, groups, _coordinates(*start), free) for start in _STARTS), key=lambda found: found[0])
+    if groups < ENOUGH:
+        share, correlation, freedom, _ = _parameters(x)
+        return RouteErrors(share, correlation, freedom, 0.0, 1.0, groups)
+    for more, start in _FURTHER.items():
+        tried = x.copy()
+        tried[list(more)] = start
+        less, found = _least(sums, groups, tried, [*free, *more])
+        if groups * (loss - less) > 0.5 * len(more) * math.log(groups):
+            loss, x, free = less, found, [*free, *more]
+    share, correlation, _, std_share = _parameters(x)
+    wider, freedom = _matched(x, sums)
+    skew = math.exp(_log_skew(x))
+    return RouteErrors(
+        share * wider, correlation * wider**2, freedom, float(x[4]), skew, groups, run_std_share=std_share * wider
+    )
 
-    def _loss(x: FloatArray) -> float:
+
+def _least(sums: _Sums, groups: int, start: FloatArray, free: list[int]) -> tuple[float, FloatArray]:
+    """The least loss over the free ones of six coordinates, and where it is."""
+    from scipy.optimize import minimize  # loads slowly, and only fits need it
+    from scipy.special import gammaln
+
+    x = start.copy()
+
+    def _loss(values: FloatArray) -> float:
+        x[free] = values
         freedom = _parameters(x)[2]
         away, variance = _steps(x, sums)
         tails = (freedom + 1.0) / 2.0 * np.log1p(away**2 / variance / freedom) + 0.5 * np.log(variance)
         norm = gammaln((freedom + 1.0) / 2.0) - gammaln(freedom / 2.0) - 0.5 * math.log(freedom)
         return float(sums.weight @ (tails - norm)) / groups + 1e-6 * float(x @ x)  # flat directions have an end
 
-    plain = min((_least(_loss, _coordinates(*start)) for start in _STARTS), key=lambda found: float(found.fun))
-    if groups < ENOUGH:
-        return RouteErrors(*_parameters(plain.x), 0.0, 1.0, groups)
-    best, bias, skew = plain, 0.0, 1.0
-    uneven = _least(_loss, np.append(plain.x, [0.01, 0.1]))
-    if groups * (plain.fun - uneven.fun) > math.log(groups):  # half the logarithm for each of two parameters
-        best, bias, skew = uneven, float(uneven.x[3]), math.exp(_log_skew(uneven.x))
-    share, correlation, _ = _parameters(best.x)
-    wider, freedom = _matched(best.x, sums)
-    return RouteErrors(share * wider, correlation * wider**2, freedom, bias, skew, groups)
+    options = {"maxiter": 800, "xatol": 1e-3, "fatol": 1e-6}
+    found = minimize(_loss, start[free], method="Nelder-Mead", options=options)
+    x[free] = found.x
+    return float(found.fun), x
 
 
 def _steps(x: FloatArray, sums: _Sums) -> tuple[FloatArray, FloatArray]:
     """Distances from the median [J] and their squared scales [J2], (n,)."""
-    share, correlation, _ = _parameters(x)
-    variance = (share * sums.energy) ** 2 + correlated_variance(sums.variance, sums.count, correlation)
-    away = sums.error - (float(x[3]) if x.size > 3 else 0.0) * sums.energy
+    share, correlation, _, std_share = _parameters(x)
+    variance = (share * sums.energy) ** 2 + (std_share * sums.std) ** 2
+    variance += correlated_variance(sums.variance, sums.count, correlation)
+    away = sums.error - x[4] * sums.energy
     return away, np.maximum(variance, 1e-300) * np.exp(np.sign(away) * _log_skew(x))
 
 
 def _log_skew(x: FloatArray) -> float:
-    return float(np.clip(x[4], -_MOST_SKEW, _MOST_SKEW)) if x.size > 3 else 0.0
+    return float(np.clip(x[5], -_MOST_SKEW, _MOST_SKEW))
 
 
 def _matched(x: FloatArray, sums: _Sums) -> tuple[float, float]:
@@ -158,37 +185,36 @@ def _matched(x: FloatArray, sums: _Sums) -> tuple[float, float]:
     return float(np.exp(apart[best].mean())), float(tried[best])
 
 
-def _least(loss: Callable[[FloatArray], float], start: FloatArray) -> Any:
-    from scipy.optimize import minimize
-
-    return minimize(loss, start, method="Nelder-Mead", options={"maxiter": 800, "xatol": 1e-3, "fatol": 1e-6})
-
-
 def _coordinates(share: float, correlation: float, freedom: float) -> FloatArray:
-    return np.log([share, correlation, freedom - LEAST_FREEDOM])
+    return np.array([*np.log([share, correlation, freedom - LEAST_FREEDOM]), 0.0, 0.0, 0.0])
 
 
-def _parameters(x: FloatArray) -> tuple[float, float, float]:
+def _parameters(x: FloatArray) -> tuple[float, float, float, float]:
     share, correlation, freedom = np.exp(np.clip(x[:3], -30.0, 30.0)).tolist()
-    return share, float(np.clip(correlation, *_CORRELATIONS)), min(LEAST_FREEDOM + freedom, NORMAL_FREEDOM)
+    return (
+        share,
+        float(np.clip(correlation, *_CORRELATIONS)),
+        min(LEAST_FREEDOM + freedom, NORMAL_FREEDOM),
+        abs(float(x[3])),
+    )
 
 
 def _sums(
     error: FloatArray, energy: FloatArray, std: FloatArray, run: NDArray[np.int64], group: NDArray[np.int64]
 ) -> _Sums:
-    found: list[tuple[float, float, float, int]] = []
+    found: list[tuple[float, ...]] = []
     of: list[tuple[int, int]] = []
     for one in np.unique(run):
         mine = np.flatnonzero(run == one)
         for stretch in stretches_of(mine):
-            found.append((error[stretch].sum(), energy[stretch].sum(), (std[stretch] ** 2).sum(), stretch.size))
+            parts = (error, energy, std, std**2)
+            found.append((*(part[stretch].sum() for part in parts), stretch.size))
             of.append((int(group[stretch[0]]), stretch.size if stretch.size in STRETCHES else 0))
     cells, cell, count = np.unique(np.array(of), axis=0, return_inverse=True, return_counts=True)
     lengths = np.bincount(np.unique(cells[:, 0], return_inverse=True)[1])  # of each group
     per_group = lengths[np.unique(cells[:, 0], return_inverse=True)[1]]
     weight = (1.0 / (count * per_group))[cell.ravel()]
-    error_j, energy_j, variance, segments = np.array(found, dtype=np.float64).T
-    return _Sums(error_j, energy_j, variance, segments, weight)
+    return _Sums(*np.array(found, dtype=np.float64).T, weight)
 
 
 def stretches_of(mine: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:

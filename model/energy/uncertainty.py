@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import accumulate
 from typing import Any
 
@@ -54,6 +54,9 @@ class Spread:
         Median of the relative error of routes: what a route is expected to take beyond the prediction.
     skew : float
         Scale of the errors of routes above that median over the scale below it.
+    run_std_share : float
+        Scale of a second error of a whole run, as a share of the sum of the standard deviations of its segments: where
+        the model says that it knows less, it is more off on the whole run.
     """
 
     factor: float = 1.0
@@ -65,6 +68,7 @@ class Spread:
     run_freedom: float | None = None
     bias: float = 0.0
     skew: float = 1.0
+    run_std_share: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("factor", "correlation_m", "skew"):
@@ -109,8 +113,27 @@ class Spread:
         distribution.
         """
         scale = self.route_std(energy_j, std_j)
-        of_run = np.square(self.run_share * np.cumsum(np.asarray(energy_j, dtype=np.float64)))
+        energy, std = (np.cumsum(np.asarray(values, dtype=np.float64)) for values in (energy_j, std_j))
+        of_run = self.run_variance(energy, std)
         return scale, self.freedom_of(of_run, np.maximum(scale**2 - of_run, 0.0))
+
+    def run_variance(self, energy_j: ArrayLike, sum_std_j: ArrayLike) -> FloatArray:
+        """Return the squared scale of the error that a whole run has in common.
+
+        `energy_j` (n,): of routes [J]; `sum_std_j` (n,): sums of the standard deviations of their segments [J]. Result
+        (n,): [J2].
+        """
+        of_energy = self.run_share * np.asarray(energy_j, dtype=np.float64)
+        return np.asarray(of_energy**2 + (self.run_std_share * np.asarray(sum_std_j, dtype=np.float64)) ** 2)
+
+    def widened(self, factor: float) -> Spread:
+        """Return this spread with the scales of long routes multiplied by a factor."""
+        return replace(
+            self,
+            run_share=self.run_share * factor,
+            run_std_share=self.run_std_share * factor,
+            correlation_m=self.correlation_m * factor**2,
+        )
 
     def freedom_of(self, of_run: FloatArray, rest: FloatArray) -> FloatArray | None:
         """Return the degrees of freedom of energies.
@@ -131,15 +154,15 @@ class Spread:
         deviations [J]. Result (n,): scale of the cumulative energy [J]: the standard deviation where the distribution
         is normal.
 
-        Two independent parts: the relative error of the whole run, and the remaining errors, correlated between
-        neighbours as in a first-order autoregression whose correlations sum to `correlation_m`.
+        Two independent parts: the errors of the whole run, and the remaining errors, correlated between neighbours as
+        in a first-order autoregression whose correlations sum to `correlation_m`.
         """
         energy, std = np.asarray(energy_j, dtype=np.float64), np.asarray(std_j, dtype=np.float64)
         neighbour = (self.correlation_m - 1.0) / (self.correlation_m + 1.0)
         summed = accumulate(std.tolist(), lambda before, own: neighbour * before + own)
         carried = np.fromiter(summed, dtype=np.float64, count=std.size)  # (n,) sums of neighbour^(k - i) std_i
         rest = np.cumsum(std * (2.0 * carried - std))
-        return np.hypot(self.run_share * np.cumsum(energy), np.sqrt(np.maximum(rest, 0.0)))
+        return np.sqrt(self.run_variance(np.cumsum(energy), np.cumsum(std)) + np.maximum(rest, 0.0))
 
 
 def segment_std(price_j: ArrayLike, relative: ArrayLike, level_j: ArrayLike, *, factor: float) -> FloatArray:
@@ -202,4 +225,5 @@ def fit_spread(
         of_run if of_run < NORMAL_FREEDOM else None,
         found.bias,
         found.skew,
+        found.run_std_share,
     )

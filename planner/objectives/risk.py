@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -41,7 +41,7 @@ class Aim(Protocol):
         mean_j : float
             Expected energy [J].
         variance_j2 : float
-            Variance of what does not belong to the whole run [J2].
+            Variance of what is no share of the energy [J2].
 
         Returns
         -------
@@ -260,6 +260,12 @@ class Outcome(Generic[Ways]):
     value: float
     bound: float
     searches: int
+
+    def joined(self, other: Outcome[Ways], worth: Callable[[Priced[Ways]], float]) -> Outcome[Ways]:
+        """Return the better of two outcomes of one objective, with what both say of all ways."""
+        better = min((self, other), key=lambda one: worth(one.best))
+        bound = min(max(self.bound, other.bound), better.value)
+        return replace(better, bound=bound, searches=self.searches + other.searches)
 
 
 def least(

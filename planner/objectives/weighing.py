@@ -31,12 +31,16 @@ class Weighing:
     correlation_m : float
         Sum of the correlations of the errors of neighbouring metres [m]: the variance of a long route is that of its
         metres times this.
+    per_std_j : float, default 0
+        Variance that a metre adds for each joule of its standard deviation, because the errors of a whole run have it
+        in common [J].
     """
 
-    def __init__(self, planner: RoutePlanner, correlation_m: float) -> None:
-        assert planner.lattice.std_j is not None
+    def __init__(self, planner: RoutePlanner, correlation_m: float, *, per_std_j: float = 0.0) -> None:
+        std_j = planner.lattice.std_j
+        assert std_j is not None
         self._planner = planner
-        self._variance = np.float32(correlation_m) * np.square(planner.lattice.std_j)
+        self._variance = np.float32(correlation_m) * np.square(std_j) + np.float32(per_std_j) * std_j
         self._of_moves: dict[int, Array] = {}
 
     def cheapest(

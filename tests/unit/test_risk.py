@@ -18,6 +18,7 @@ from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.objectives.power_limit import within_power
 from joulemap.planner.objectives.risk import Aim, LeastQuantile, MostLikely, Priced, least
 from joulemap.planner.objectives.weighing import Weighing, weighed
+from joulemap.planner.route import price_route
 from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.objectives import Objective, Weighed, plan_by
 from joulemap.service.route_uncertainty import odds_along
@@ -117,10 +118,13 @@ def test_an_uncertain_short_cut_is_avoided() -> None:
     assert route.energy_j == pytest.approx(straight.energy_j)
 
 
+@pytest.mark.parametrize("common", [0.0, 0.2])
 @pytest.mark.parametrize("seed", range(6))
-def test_by_its_objective_a_route_is_never_worse_than_the_cheapest(seed: int) -> None:
+def test_by_its_objective_a_route_is_never_worse_than_the_cheapest(seed: int, common: float) -> None:
+    """The error of a whole run: a share of the energy alone, and one that grows with the standard deviations too."""
     rng = np.random.default_rng(seed)
-    planner = RoutePlanner(patchy(rng, 24, 24))
+    lattice = patchy(rng, 24, 24)
+    planner = RoutePlanner(known(lattice, lattice.std_j[..., 0], run_std_share=common))
     ends = [tuple(float(v) for v in planner.lattice.frame.xy(*rng.uniform(1.0, 22.0, 2))) for _ in range(2)]
     mean = planner.plan(*ends, snap=True).route
     for objective in (Objective("quantile", 0.9), Objective("arrival")):
@@ -133,6 +137,31 @@ def test_by_its_objective_a_route_is_never_worse_than_the_cheapest(seed: int) ->
             assert said.probability >= said.mean_probability
         assert said.gap is not None
         assert said.gap <= 0.02
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_path_is_below_the_bound_where_runs_have_their_deviations_in_common(seed: int) -> None:
+    """Among 300 random paths of a grid, each priced in full: the square of a sum of deviations is no sum over metres."""
+    rng = np.random.default_rng(seed)
+    lattice = patchy(rng, 9, 9)
+    lattice = known(lattice, lattice.std_j[..., 0], run_share=0.02, correlation_m=0.5, run_std_share=0.5)
+    planner = RoutePlanner(lattice)
+    ends = tuple(tuple(float(v) for v in lattice.frame.xy(*place)) for place in ((1.0, 1.0), (6.0, 6.0)))
+    found = plan_by(planner, *ends, Objective("quantile", 0.9), refine=False, neighbours=8, snap=True)
+    said = Weighed(**found.details["objective"])
+    base = planner._table(8, distance=False)
+    graph = nx.DiGraph()
+    for row, col, move in np.argwhere(np.isfinite(base.energy)):
+        graph.add_edge((row, col), (row + base.offsets[move, 0], col + base.offsets[move, 1]))
+    first, last = (
+        tuple(np.round(lattice.frame.rowcol(*point)).astype(int)) for point in found.route.points[[0, -1], :2]
+    )
+    for _ in range(300):
+        chance = {edge: rng.random() for edge in graph.edges}
+        path = nx.dijkstra_path(graph, first, last, lambda a, b, _, chance=chance: chance[a, b])
+        odds = odds_along([price_route(lattice, np.column_stack(lattice.frame.xy(*np.array(path, float).T)))])
+        assert odds is not None
+        assert odds.final_quantile(0.9) >= (1.0 - said.gap - 0.01) * said.quantile_j
 
 
 def test_where_errors_are_a_share_of_the_energy_the_routes_are_the_same() -> None:

@@ -67,6 +67,33 @@ def test_a_bias_and_unequal_sides_are_found_on_many_runs_only() -> None:
     assert (few.bias, few.skew) == (0.0, 1.0)
 
 
+def test_an_error_of_runs_that_grows_with_their_deviations_is_found_on_many_runs() -> None:
+    """Runs that are known to 5 to 40 % a metre, and off by half as much as a whole: a share of the energy would be too
+    wide for the well known half, and too narrow for the other."""
+    rng = np.random.default_rng(4)
+
+    def _drives() -> tuple[np.ndarray, ...]:
+        run = np.repeat(np.arange(400), 100)
+        predicted = rng.uniform(40.0, 120.0, run.size)
+        std = np.geomspace(0.05, 0.4, 400)[run] * predicted
+        of_run = 0.5 * rng.standard_normal(400)[run]
+        return predicted + std * (of_run + rng.standard_normal(run.size)), predicted, std, run
+
+    spread = fit_spread(*_drives())
+    assert spread.factor * spread.run_std_share == pytest.approx(0.5, rel=0.25)
+    assert spread.run_share < 0.02
+    measured, predicted, std, run = _drives()
+    for half in (run < 200, run >= 200):
+        inside = []
+        for one in np.unique(run[half]):
+            mine = run == one
+            scale = spread.along(predicted[mine], spread.factor * std[mine])[0][-1]
+            inside.append(abs(measured[mine].sum() - predicted[mine].sum()) < 1.28 * scale)
+        assert np.mean(inside) == pytest.approx(0.8, abs=0.09)
+    few = run < ENOUGH - 1
+    assert fit_spread(measured[few], predicted[few], std[few], run[few]).run_std_share == 0.0
+
+
 def test_three_campaigns_leave_the_offset_uncertain() -> None:
     """Student's t with as many degrees of freedom as campaigns, and the campaigns count, not their runs."""
     offsets = np.repeat([-0.1, 0.02, 0.12], 5)

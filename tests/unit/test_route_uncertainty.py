@@ -21,7 +21,7 @@ from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.route import price_route
 from joulemap.planner.verdict.budget import judge, judge_along
 from joulemap.service.feasibility import assess
-from joulemap.service.route_uncertainty import odds_along
+from joulemap.service.route_uncertainty import odds_along, odds_of_energies
 
 INDEPENDENT = Spread(run_share=0.0, correlation_m=1.0)
 
@@ -72,6 +72,23 @@ def test_a_route_of_16_m_is_16_segments_however_it_is_cut(corners: list[tuple[fl
     assert odds is not None
     assert odds.final_std_j == pytest.approx(3.0 * 4.0, rel=1e-5)
     assert odds_along([price_route(level(None), corners)]) is None
+
+
+def test_an_error_of_the_whole_run_may_grow_with_the_deviations() -> None:
+    """Half of 16 and of 32 times 3 J, beside independent metres: of a route, of energies alone, and along it."""
+    spread = Spread(run_share=0.0, correlation_m=1.0, run_std_share=0.5)
+    lattice = level(spread)
+    odds = odds_along([price_route(lattice, [(5.0, 20.0), (21.0, 20.0)])])
+    assert odds is not None
+    of_metres = 3.0 * np.sqrt([8.0, 16.0, 32.0])
+    assert odds.final_std_j == pytest.approx(math.hypot(24.0, of_metres[1]), rel=1e-5)
+    assert odds.scale_j[odds.scale_j.size // 2 - 1] == pytest.approx(math.hypot(12.0, of_metres[0]), rel=0.1)
+    energies = odds_of_energies(lattice, [320.0, 640.0])
+    assert energies is not None
+    assert energies.scale_j == pytest.approx(np.hypot([24.0, 48.0], of_metres[1:]), rel=1e-4)
+    metres = np.full(1000, 20.0), np.full(1000, 3.0)
+    assert spread.widened(2.0).route_std(*metres)[-1] == pytest.approx(2.0 * spread.route_std(*metres)[-1], rel=1e-3)
+    assert Spread.from_dict({k: v for k, v in spread.as_dict().items() if k != "run_std_share"}).run_std_share == 0.0
 
 
 def test_the_way_back_shares_the_error_of_the_run() -> None:
