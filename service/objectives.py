@@ -247,7 +247,7 @@ class _Tangent:
         return 2.0 * self.spread.run_std_share**2 * self.std_j
 
     def priced(self, routes: Routes, price: float, least_j: float | None) -> Priced[Routes]:
-        """The routes that are cheapest at a price of the tangent; `least_j`: no others are cheaper, where that is known."""
+        """The cheapest routes at a price of the tangent; `least_j`: no others are cheaper, where that is known."""
         share = self.spread.run_std_share
         mean_j, of_metres, std_j = _sums(routes)
         variance = self.spread.correlation_m * of_metres + (share * std_j) ** 2

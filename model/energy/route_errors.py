@@ -4,8 +4,9 @@
 
 where E is their energy and S the sum of their standard deviations: what differs between runs is a share of the energy,
 or more where the model says that it knows less. The median is the bias, and errors above it may be larger than those
-below (a two-piece distribution). The parameters maximise the likelihood of the summed errors of stretches of 24, 48, ... segments (a composite marginal
-likelihood): what a verdict needs is the spread of sums, and neighbouring segments say little of it.
+below (a two-piece distribution). The parameters maximise the likelihood of the summed errors of stretches of 20, 40, ...
+segments (a composite marginal likelihood): what a verdict needs is the spread of sums, and neighbouring segments say
+little of it.
 
 Reference: Varin, Reid & Firth 2011, "An overview of composite likelihood methods". Lange, Little & Taylor 1989, "Robust
 statistical modeling using the t distribution". Wallis 2014, "The two-piece normal, binormal, or double Gaussian
@@ -214,7 +215,8 @@ def _sums(
     lengths = np.bincount(np.unique(cells[:, 0], return_inverse=True)[1])  # of each group
     per_group = lengths[np.unique(cells[:, 0], return_inverse=True)[1]]
     weight = (1.0 / (count * per_group))[cell.ravel()]
-    return _Sums(*np.array(found, dtype=np.float64).T, weight)
+    errors, energies, stds, variances, segments = np.array(found, dtype=np.float64).T
+    return _Sums(errors, energies, stds, variances, segments, weight)
 
 
 def stretches_of(mine: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:

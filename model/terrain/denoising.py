@@ -1,7 +1,8 @@
 """The ground as a noisy survey lets it be known: how large its noise is, and the heights without it.
 
 Heights are split into details of 2, 4 and 8 cells and the rest (B3 splines with holes, Starck & Murtagh 2006).
-Noise that is independent from cell to cell has known shares in them, 0.89, 0.20 and 0.09 of its standard deviation.
+Noise has known shares in them, which follow from its correlation: 0.89, 0.20 and 0.09 of its standard deviation where
+it is independent from cell to cell.
 Where the details nearby are larger than noise makes them, they are kept (local Wiener filter, Mihcak et al. 1999;
 twice, the second time with the result of the first for the ground, as Lebrun 2012).
 """
@@ -9,6 +10,7 @@ twice, the second time with the result of the first for the ground, as Lebrun 20
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,18 +19,18 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
-from joulemap.model.ranges import NOISE_M
+from joulemap.model.ranges import NOISE_LENGTH_M, NOISE_M
 from joulemap.model.threads import pieces, share_out
 
 FloatArray = NDArray[np.float32]
 
-NOISE_SHARES = (0.8908, 0.2007, 0.0857)
-"""Standard deviation of the details of white noise of unit standard deviation, per scale (Starck & Murtagh 2006)."""
+_SCALES = 3
+_SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 LEAST_NOISE_M = 0.003
 """Noise below this changes no price by 1 %, and rough ground alone may look like it."""
 _HALF_SIDE = 3
 """The ground is taken to be alike within 7 x 7 cells."""
-MARGIN_CELLS = 2 * (2 * (2 ** len(NOISE_SHARES) - 1) + _HALF_SIDE)
+MARGIN_CELLS = 2 * (2 * (2**_SCALES - 1) + _HALF_SIDE)
 """How far a height depends on others."""
 _ROWS_AT_ONCE = 64
 _WINDOW_CELLS, _WINDOWS = 192, 4
@@ -38,20 +40,60 @@ _LEAST_KNOWN = 256
 _SIDES = (1, 2, 4)
 _LEAST_GROWTH = 4.0
 """Of the variance of twists of ground when their side doubles: that of random slopes; smooth ground has 16."""
-_WINDOW_CELLS, _WINDOWS = 192, 4
-"""A large map is judged by 4 x 4 windows of so many cells a side."""
 _NORMAL = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
-def check_noise(noise_m: float | None) -> None:
-    """Check a standard deviation that somebody gives [m]; raises HeightmapError where it cannot be one."""
+def check_noise(noise_m: float | None, length_m: float) -> None:
+    """Check a standard deviation and a correlation length that somebody gives [m]; raises HeightmapError."""
     if noise_m is not None and noise_m not in NOISE_M:
         raise HeightmapError(
             f"`noise_m`, the noise of a survey, must lie in 0..{NOISE_M.high:g} m, got {noise_m:g}",
             noise_m=str(noise_m),
             limit=NOISE_M.high,
         )
+    if length_m not in NOISE_LENGTH_M:
+        raise HeightmapError(
+            f"`noise_length_m`, over which noise is alike, must lie in 0..{NOISE_LENGTH_M.high:g} m, got {length_m:g}",
+            noise_length_m=str(length_m),
+            limit=NOISE_LENGTH_M.high,
+        )
+    if length_m > 0.0 and noise_m is None:
+        raise HeightmapError(
+            f"`noise_length_m` is {length_m:g} m, and `noise_m` is missing: noise that is alike over some cells cannot "
+            "be estimated from the heights, give its standard deviation too",
+            noise_length_m=str(length_m),
+        )
+
+
+def correlation_of(cells: FloatArray, length_cells: float) -> FloatArray:
+    """Return the correlation of noise at distances (n,) [cells]: exp(-d^2 / 2 l^2), 0 for independent noise."""
+    return np.exp(-0.5 * np.square(cells / max(length_cells, 1e-3)))
+
+
+@cache
+def noise_shares(length_cells: float) -> tuple[float, ...]:
+    """Return the standard deviation of the details of noise of unit standard deviation, per scale.
+
+    A detail is the difference of two averages over separable splines s_a and s_b, and the correlation R is separable
+    too: its variance is (s_a R s_a)^2 - 2 (s_a R s_b)^2 + (s_b R s_b)^2. Of independent noise: Starck & Murtagh 2006.
+    """
+    splines = [np.ones(1)]
+    for scale in range(_SCALES):
+        step = np.zeros(4 * 2**scale + 1)
+        step[:: 2**scale] = _SPLINE
+        splines.append(np.convolve(splines[-1], step))
+    size = splines[-1].size
+    wide = np.array([np.pad(spline, (size - spline.size) // 2) for spline in splines])  # (scales + 1, size)
+    apart = np.subtract.outer(np.arange(size), np.arange(size))
+    common = np.square(wide @ correlation_of(apart, length_cells) @ wide.T)
+    variances = [common[k, k] - 2.0 * common[k, k + 1] + common[k + 1, k + 1] for k in range(_SCALES)]
+    return tuple(math.sqrt(max(variance, 0.0)) for variance in variances)
+
+
+def hiding_noise_m(noise_m: float, length_cells: float) -> float:
+    """Return the independent noise [m] that hides as much of the finest details as one alike over some cells."""
+    return noise_m * noise_shares(length_cells)[0] / noise_shares(0.0)[0]
 
 
 class _Surveyed(Protocol):
@@ -107,15 +149,15 @@ def noise_of(heights: FloatArray) -> float | None:
     return math.sqrt(max(one - (two - one) / (growth - 1.0), 0.0))
 
 
-def denoised(heights: FloatArray, noise_m: float) -> FloatArray:
-    """Return the expected heights of the ground, given a survey (rows, cols) [m] with independent noise.
+def denoised(heights: FloatArray, noise_m: float, length_cells: float = 0.0) -> FloatArray:
+    """Return the expected heights of the ground, given a survey (rows, cols) [m], its noise and how far it is alike.
 
     Steps and bumps that stand out of the noise stay as they are; what cannot be told from noise is gone. Unknown
     heights (NaN) stay unknown. Below `LEAST_NOISE_M` nothing is changed.
     """
     if noise_m < LEAST_NOISE_M:
         return heights
-    variances = [np.float32((noise_m * share) ** 2) for share in NOISE_SHARES]
+    variances = [np.float32((noise_m * share) ** 2) for share in noise_shares(length_cells)]
     filled, known, base = _filled(heights)
     details, rest, _ = _details(filled, known, base)
     first = rest.copy()
@@ -138,7 +180,7 @@ def _details(filled: FloatArray, known: FloatArray, _: np.float32) -> tuple[list
     """The details of every scale, the smooth rest, and where heights are known."""
     whole = bool(known.all())
     details = []
-    for scale in range(len(NOISE_SHARES)):
+    for scale in range(_SCALES):
         detail, smooth = np.empty_like(filled), np.empty_like(filled)
         _by_rows(_smooth, filled, 2**scale, detail, smooth)
         if not whole:
@@ -217,4 +259,5 @@ def _add_shrunk(details, like, variance, noisy, out, first, end):
                 total += line[j + k]
             energy = total * per_cell
             ground = max(energy - variance, np.float32(0.0)) if noisy else energy
-            out[i, j] += details[i, j] * ground / (ground + variance)
+            if ground > 0.0:  # without noise at this scale, both may be 0
+                out[i, j] += details[i, j] * ground / (ground + variance)

@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
-from joulemap.model.terrain.denoising import LEAST_NOISE_M, check_noise, denoised, estimated_noise_m
+from joulemap.model.terrain.denoising import (
+    LEAST_NOISE_M,
+    check_noise,
+    denoised,
+    estimated_noise_m,
+    hiding_noise_m,
+)
 from joulemap.model.terrain.rows import share_of
 
 FloatArray = NDArray[np.float64]
@@ -38,7 +44,11 @@ class Heightmap:
     given_noise_m : float or None
         Standard deviation of the noise of the survey [m], where it is known; else it is estimated.
     removed_noise_m : float
-        Standard deviation of the noise that was taken out [m]; 0 for a survey as it is.
+        Standard deviation of the noise that was taken out [m], of an independent one that hides as much of the finest
+        details; 0 for a survey as it is.
+    noise_length_m : float
+        Length over which the given noise is alike [m], see `model.terrain.denoising.correlation_of`; 0 where it is
+        independent from cell to cell.
 
     Raises
     ------
@@ -53,6 +63,7 @@ class Heightmap:
     notes: tuple[str, ...] = ()
     given_noise_m: float | None = None
     removed_noise_m: float = 0.0
+    noise_length_m: float = 0.0
 
     def __post_init__(self) -> None:
         heights = np.ascontiguousarray(self.heights, dtype=np.float32)
@@ -64,7 +75,7 @@ class Heightmap:
             raise HeightmapError("heights must be finite or NaN (unknown), found an infinite one")
         if not self.part and np.isnan(heights).all():
             raise HeightmapError("every cell of the heightmap is unknown: there is no ground to plan on")
-        check_noise(self.given_noise_m)
+        check_noise(self.given_noise_m, self.noise_length_m)
         heights.setflags(write=False)
         object.__setattr__(self, "heights", heights)
 
@@ -111,8 +122,10 @@ class Heightmap:
         """The expected ground, given this survey: what prices and limits are made of; itself where it has no noise."""
         if self.noise_m < LEAST_NOISE_M:
             return self
-        heights = denoised(self.heights, self.noise_m)
-        return replace(self, heights=heights, given_noise_m=0.0, removed_noise_m=self.noise_m)
+        length = self.noise_length_m / self.resolution_m
+        removed = hiding_noise_m(self.noise_m, length)
+        heights = denoised(self.heights, self.noise_m, length)
+        return replace(self, heights=heights, given_noise_m=0.0, noise_length_m=0.0, removed_noise_m=removed)
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1).

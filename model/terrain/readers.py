@@ -46,6 +46,7 @@ def read_heightmap(
     reproject: str | None = None,
     window: WindowLike | None = None,
     noise_m: float | None = None,
+    noise_length_m: float = 0.0,
     max_cells: int = MAX_CELLS,
 ) -> Heightmap:
     """Read a heightmap from a file of any known format.
@@ -83,7 +84,10 @@ def read_heightmap(
         that part is read from the file.
     noise_m : float, optional
         Standard deviation of the survey's noise [m]; 0 for a map to be taken as it is. Estimated from the map where
-        None.
+        None, as noise that is independent from cell to cell.
+    noise_length_m : float, optional
+        Length over which that noise is alike [m], its correlation is exp(-d^2 / 2 length^2) at a distance d: some cells
+        where heights are of photogrammetry or were resampled.
     max_cells : int, optional
         Largest number of cells.
 
@@ -146,7 +150,8 @@ def read_sent(
         return ground
     rows, cols = ground.frame.shape
     heights = ground.reader.read(ground.scaling, slice(0, rows), slice(0, cols))
-    return Heightmap(heights, ground.frame, ground.source, notes=ground.notes, given_noise_m=ground.given_noise_m)
+    noise: Any = {"given_noise_m": ground.given_noise_m, "noise_length_m": ground.noise_length_m}
+    return Heightmap(heights, ground.frame, ground.source, notes=ground.notes, **noise)
 
 
 def open_ground(path: str | Path, *, alone: bool = False, **options: Any) -> Ground:
@@ -193,6 +198,7 @@ def _ground(
     reproject: str | None = None,
     window: WindowLike | None = None,
     noise_m: float | None = None,
+    noise_length_m: float = 0.0,
 ) -> Heightmap | HeightmapFile:
     """A file of up to `max_cells` cells, of `max_cells_whole` where its format is only read as a whole."""
     scaling = Scaling(scale_m, offset_m, nodata, resolution_m)
@@ -214,7 +220,7 @@ def _ground(
             max_cells_whole=max_cells_whole,
         )
         frame = stated_frame(warped, None, 0.0, None, None)
-        return HeightmapFile(warped, scaling, frame, file.name, warped.notes, noise_m)
+        return HeightmapFile(warped, scaling, frame, file.name, warped.notes, noise_m, noise_length_m)
     most = max_cells if window is None else MAX_SIDE * MAX_SIDE
     reader = kind.open_windows(file, scaling, band=band, max_cells=most)
     whole = reader or kind.code.decode(file, scaling, max_cells=max_cells_whole, band=band)
@@ -225,9 +231,9 @@ def _ground(
         check_cells(frame.rows, frame.cols, max_cells, what=f"the window of {file.name}")
         notes = (*notes, _window_note(frame))
     if reader is not None:
-        return HeightmapFile(part, scaling, frame, file.name, notes, noise_m)
+        return HeightmapFile(part, scaling, frame, file.name, notes, noise_m, noise_length_m)
     heights = part.read(scaling, slice(0, frame.rows), slice(0, frame.cols)).copy()
-    return Heightmap(heights, frame, file.name, notes=notes, given_noise_m=noise_m)
+    return Heightmap(heights, frame, file.name, notes=notes, given_noise_m=noise_m, noise_length_m=noise_length_m)
 
 
 def _window_note(frame: GridFrame) -> str:

@@ -21,6 +21,7 @@ from joulemap.model.terrain.denoising import (
     check_noise,
     denoised,
     estimated_noise_m,
+    hiding_noise_m,
 )
 from joulemap.model.terrain.formats.contract import WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
@@ -62,6 +63,10 @@ class Ground(Protocol):
     def given_noise_m(self) -> float | None:
         """The same where the user gave it."""
 
+    @property
+    def noise_length_m(self) -> float:
+        """Length over which that noise is alike [m]; 0 where it is independent from cell to cell."""
+
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1)."""
 
@@ -84,8 +89,8 @@ class HeightmapFile:
         The file's name.
     notes : tuple of str
         As `Heightmap.notes`.
-    given_noise_m : float or None
-        As `Heightmap.given_noise_m`.
+    given_noise_m, noise_length_m : float or None, float
+        As those of `Heightmap`.
     """
 
     reader: WindowReader
@@ -94,9 +99,10 @@ class HeightmapFile:
     source: str
     notes: tuple[str, ...] = ()
     given_noise_m: float | None = None
+    noise_length_m: float = 0.0
 
     def __post_init__(self) -> None:
-        check_noise(self.given_noise_m)
+        check_noise(self.given_noise_m, self.noise_length_m)
 
     @cached_property
     def noise_m(self) -> float:
@@ -158,9 +164,10 @@ def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: 
     rows, cols = ground.frame.shape
     top, left = max(row0 - MARGIN_CELLS, 0), max(col0 - MARGIN_CELLS, 0)
     around = ground.window(top, min(row1 + MARGIN_CELLS, rows), left, min(col1 + MARGIN_CELLS, cols))
-    heights = denoised(around.heights, ground.noise_m)[row0 - top : row1 - top, col0 - left : col1 - left]
-    place = ground.frame.window(row0, row1, col0, col1)
-    return Heightmap(heights, place, ground.source, part=True, given_noise_m=0.0, removed_noise_m=ground.noise_m)
+    length = ground.noise_length_m / ground.frame.resolution_m
+    heights = denoised(around.heights, ground.noise_m, length)[row0 - top : row1 - top, col0 - left : col1 - left]
+    place, removed = ground.frame.window(row0, row1, col0, col1), hiding_noise_m(ground.noise_m, length)
+    return Heightmap(heights, place, ground.source, part=True, given_noise_m=0.0, removed_noise_m=removed)
 
 
 def overview(ground: Ground) -> Heightmap:

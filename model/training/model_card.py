@@ -72,8 +72,9 @@ and on slopes braking and drivetrain losses make the relation non-linear.
 The intervals held {covered} of the same segments
 (their widths were found on them: factor {spread.factor:.2f}, quantiles {_quantiles(spread)}).
 Each whole run has errors of its own, from properties of robot and ground that the network does not know and from what
-the survey does not show: of {100 * spread.run_share:.1f} % of its energy and of {spread.run_std_share:.2f} times the sum of
-the standard deviations of its segments (scales of Student's t with {_freedom(spread.run_freedom)} degrees of freedom).
+the survey does not show: of {100 * spread.run_share:.1f} % of its energy and of {spread.run_std_share:.2f} times the
+sum of the standard deviations of its segments (scales of Student's t with {_freedom(spread.run_freedom)} degrees of
+freedom).
 Half of the routes take {100 * spread.bias:+.0f} % or less against the prediction; errors above that are
 {spread.skew:.1f} times those below it. Errors of neighbouring segments are correlated over {metres:.1f} m.
 

@@ -64,6 +64,7 @@ def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: 
             "resolution_m": ground.frame.resolution_m,
             "known_share": ground.known_share,
             "noise_m": ground.noise_m,
+            "noise_length_m": ground.noise_length_m,
         },
         "model": source.provenance(),
         "spacing_m": tiling.frame.resolution_m,

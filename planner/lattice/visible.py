@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from joulemap.model.robot import Robot
-from joulemap.model.terrain.denoising import LEAST_NOISE_M
+from joulemap.model.terrain.denoising import LEAST_NOISE_M, correlation_of, hiding_noise_m
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.lattice.limits import SQUARE_M, STEP_IN_NOISE
 
@@ -23,6 +25,8 @@ class VisibleFeatures:
     ----------
     noise_m : float
         Standard deviation of its heights [m].
+    noise_length_m : float
+        Length over which it is alike [m]; 0 where it is independent from cell to cell.
     noise_given : bool
         Whether the user gave it; else it was estimated.
     slope_std_deg : float
@@ -36,6 +40,7 @@ class VisibleFeatures:
     """
 
     noise_m: float
+    noise_length_m: float
     noise_given: bool
     slope_std_deg: float
     least_bump_m: float
@@ -64,12 +69,16 @@ class VisibleFeatures:
 def visible_features(ground: Ground, robot: Robot) -> VisibleFeatures:
     """Return what a map of any size can show to a robot."""
     cells_m, noise_m = ground.frame.resolution_m, ground.noise_m
-    per_side = max(SQUARE_M / cells_m, 1.0) + 1.0
-    # least-squares plane through n x n heights a cell apart: variance of the slope 12 s2 / (n2 (n2 - 1) c2)
-    slope = noise_m / cells_m * math.sqrt(12.0 / (per_side**2 * (per_side**2 - 1.0)))
-    shown = max(noise_m, LEAST_NOISE_M)
+    length_cells = ground.noise_length_m / cells_m
+    x = np.arange(max(round(SQUARE_M / cells_m), 1) + 1.0)
+    x -= x.mean()
+    alike = correlation_of(np.subtract.outer(x, x), length_cells)
+    # least-squares plane through n x n heights: slope sum x_i h_ij / (n sum x_i^2); the correlation is separable
+    slope = noise_m / cells_m * math.sqrt((x @ alike @ x) * alike.sum()) / (x.size * (x @ x))
+    shown = max(hiding_noise_m(noise_m, length_cells), LEAST_NOISE_M)
     return VisibleFeatures(
         noise_m,
+        ground.noise_length_m,
         ground.given_noise_m is not None,
         math.degrees(math.atan(slope)),
         BUMP_IN_NOISE * shown,

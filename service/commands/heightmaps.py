@@ -64,7 +64,12 @@ def info(
             "heights": f"{low:.2f} to {high:.2f} m",
             "unknown": f"{1.0 - ground.known_share:.2%}",
             "noise": f"{1000.0 * seen.noise_m:.1f} mm, "
-            + ("given" if seen.noise_given else "estimated from what differs from cell to cell"),
+            + (
+                f"given, alike over {seen.noise_length_m:g} m"
+                if seen.noise_given
+                else "estimated from what differs from cell to cell. Noise that is alike over some cells, as of a "
+                "drone, cannot be told from ground by the map alone: give --noise and --noise-length"
+            ),
             **dict(zip(("slopes", "bumps", "steps"), seen.in_words(rover), strict=True)),
         }
     )

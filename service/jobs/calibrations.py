@@ -11,6 +11,7 @@ from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.robot import Robot
 from joulemap.service.jobs.costmaps import Report
 from joulemap.service.storage.object_vault import ObjectVault
+from joulemap.service.storage.stats import noise_of_stats
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import named_test_runs
 from joulemap.service.work.calibrations import calibrate
@@ -40,7 +41,7 @@ def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, A
         "model": model if model in MODEL_NAMES else str((models_dir / model).resolve()),
         "heightmap": str(store.heightmap_path(ground).resolve()) if ground else None,
         "heightmap_name": store.heightmap(ground).name if ground else None,
-        "noise_m": store.heightmap(ground).stats.get("noise_m") if ground else None,
+        "noise": noise_of_stats(store.heightmap(ground).stats) if ground else {},
         "odometry": asked.get("odometry"),
         "robot": asked["robot"],
         "runs": _files(asked["runs"]),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import DamagedError
 from joulemap.service.storage.object_vault import ObjectVault
+from joulemap.service.storage.stats import noise_of_stats
 from joulemap.service.storage.store import Store
 from joulemap.service.work import tiles, vaulted
 from joulemap.service.work.tiles import MapOrder
@@ -32,7 +33,7 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
     order = MapOrder(
         place=store.lattice_path(row.id).resolve(),
         heightmap=store.heightmap_path(row.heightmap_id).resolve(),
-        reading={"filename": survey.name, "noise_m": survey.stats.get("noise_m")},
+        reading={"filename": survey.name, **noise_of_stats(survey.stats)},
         robot=asked["robot"],
         model=asked["model"],
         spacing_m=asked["spacing_m"],

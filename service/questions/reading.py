@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from joulemap.model.ranges import COORDINATE_M, HEIGHT_M, NOISE_M, RESOLUTION_M, SCALE_M, STORED
+from joulemap.model.ranges import COORDINATE_M, HEIGHT_M, NOISE_LENGTH_M, NOISE_M, RESOLUTION_M, SCALE_M, STORED
 from joulemap.service.schemas.base import ClosedModel, Name, within
 
 
@@ -66,4 +66,12 @@ class UploadOptions(ClosedModel):
         le=NOISE_M.high,
         description="standard deviation of the survey's noise [m]; 0 takes the map as it is; estimated by default",
         examples=[0.05],
+    )
+    noise_length_m: float = Field(
+        default=0.0,
+        ge=NOISE_LENGTH_M.low,
+        le=NOISE_LENGTH_M.high,
+        description="length over which that noise is alike [m], as in photogrammetry; needs `noise_m`; 0 where it is "
+        "independent from cell to cell",
+        examples=[0.3],
     )

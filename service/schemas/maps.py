@@ -46,6 +46,7 @@ class HeightmapOut(ResponseModel):
         "the ground without it; null for maps of earlier versions, which estimate it when they are used",
         examples=[0.031],
     )
+    noise_length_m: float = Field(default=0.0, description="length over which that noise is alike [m]", examples=[0.0])
     band: int | None = Field(
         default=None, description="band of the sent GeoTIFF that holds the heights, from 1; null where none was named"
     )

@@ -15,6 +15,7 @@ from joulemap.model.terrain.readers import open_ground
 from joulemap.model.terrain.windows import Ground
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.storage.kept import Kept, now
+from joulemap.service.storage.stats import noise_of_stats
 from joulemap.service.storage.tables import (
     CALIBRATION,
     COSTMAP,
@@ -49,7 +50,7 @@ class KeptHeightmaps(Kept):
         """
         row = self.heightmap(heightmap_id)
         path = self.here(self.heightmap_path(heightmap_id))
-        return open_ground(path, filename=row.name, alone=True, noise_m=row.stats.get("noise_m"))
+        return open_ground(path, filename=row.name, alone=True, **noise_of_stats(row.stats))
 
     def heightmaps(self, *, limit: int, offset: int) -> tuple[list[HeightmapRow], int]:
         """Return one page of the heightmaps, newest first.

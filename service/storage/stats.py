@@ -28,8 +28,14 @@ def heightmap_stats(heightmap: Heightmap, *, band: int | None = None) -> dict[st
         "height_max_m": float(np.nanmax(heightmap.heights)),
         "hash": heightmap.data_hash,
         "noise_m": heightmap.noise_m,
+        "noise_length_m": heightmap.noise_length_m,
         "band": band,
     }
+
+
+def noise_of_stats(stats: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the noise of a heightmap that is kept, as options of its reading; estimated again for older ones."""
+    return {"noise_m": stats.get("noise_m"), "noise_length_m": stats.get("noise_length_m", 0.0)}
 
 
 def frame_of_stats(stats: Mapping[str, Any]) -> GridFrame:

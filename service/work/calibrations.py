@@ -106,7 +106,7 @@ def _read(order: Mapping[str, Any], robot: Robot) -> CalibrationRuns:
         odometry = None if order["odometry"] is None else Odometry(**order["odometry"])
         sites = sites_without_map(files, robot, baseline_files=base, test_files=test, odometry=odometry)
         return read_calibration_runs(sites)
-    ground = read_sent(Path(order["heightmap"]), filename=order["heightmap_name"], noise_m=order["noise_m"])
+    ground = read_sent(Path(order["heightmap"]), filename=order["heightmap_name"], **order["noise"])
     return read_calibration_runs([Site(ground, tuple(files), robot, tuple(base), tuple(test))])
 
 

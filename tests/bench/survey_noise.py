@@ -70,7 +70,8 @@ def measure(sites: int, *, correlation_m: float, told: bool, as_surveyed: bool, 
             unit = drawn_noise(clean.frame.shape, cells_m, correlation_m, rng)
             for noise_m in NOISES_M:
                 heights = (clean.heights + noise_m * unit).astype(np.float32)
-                survey = Heightmap(heights, clean.frame, given_noise_m=noise_m if told else None)
+                given = {"given_noise_m": noise_m, "noise_length_m": correlation_m} if told else {}
+                survey = Heightmap(heights, clean.frame, **given)
                 ground = survey if as_surveyed else survey.without_noise
                 hidden = ground_limits(ground, frame, declared)[2] == Blocked.STEP
                 for name, predictor in predictors.items():
@@ -128,7 +129,7 @@ def main() -> None:
     parser.add_argument("--sites", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--correlation", type=float, default=0.0, help="length over which noise is alike [m]")
-    parser.add_argument("--told", action="store_true", help="tell the noise instead of letting it be estimated")
+    parser.add_argument("--told", action="store_true", help="tell noise and length instead of letting it be estimated")
     parser.add_argument("--as-surveyed", action="store_true", help="price the surveys as they are")
     parser.add_argument("--routes", action="store_true", help="what the routes that are found cost on the true ground")
     given = parser.parse_args()

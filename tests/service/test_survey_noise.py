@@ -52,6 +52,36 @@ def test_the_command_takes_the_noise_out_and_says_so(surveys):
     assert not any("uncertain" in warning for warning in clean["warnings"] + as_it_is["warnings"])
 
 
+def test_noise_with_a_length_is_told_on_the_command_line_in_python_and_over_http(surveys, client):
+    told = made(surveys["noisy"], "--noise", "0.05", "--noise-length", "0.5")[0]
+    white = made(surveys["noisy"], "--noise", "0.05")[0]
+    assert told["provenance"]["heightmap"]["noise_length_m"] == 0.5
+    assert (
+        told["energy_per_m"]["mean"] > white["energy_per_m"]["mean"]
+    )  # this noise is white: more of it is taken for ground
+    lattice = jm.costmap(jm.read_heightmap(surveys["noisy"], noise_m=0.05, noise_length_m=0.5)).lattice
+    assert np.nanmean(np.maximum(lattice.traction_per_m, 0.0)) > 0.0
+    assert lattice.provenance["heightmap"]["noise_length_m"] == 0.5
+    files = {"file": ("dem.tif", surveys["noisy"].read_bytes())}
+    kept = client.post("/v1/heightmaps", files=files, data={"noise_m": 0.05, "noise_length_m": 0.5}).json()
+    assert (kept["noise_m"], kept["noise_length_m"]) == (0.05, 0.5)
+    done = client.post("/v1/costmaps", json={"heightmap_id": kept["id"]}, headers={"Prefer": "wait=300"}).json()
+    assert done["energy_per_m"]["mean"] == pytest.approx(told["energy_per_m"]["mean"], rel=1e-4)
+    alone = client.post("/v1/heightmaps", files=files, data={"noise_length_m": 0.5})
+    assert alone.status_code == 422
+    assert "give its standard deviation too" in alone.text
+
+
+def test_info_says_what_noise_it_cannot_see(surveys):
+    def _said(*options: str) -> str:
+        done = CliRunner().invoke(app, ["info", str(surveys["noisy"]), *options])
+        assert done.exit_code == 0, done.output
+        return " ".join(done.output.split())
+
+    assert "give --noise and --noise-length" in _said()
+    assert "alike over 0.5 m" in _said("--noise", "0.05", "--noise-length", "0.5")
+
+
 def test_noise_that_cannot_be_is_refused(surveys):
     out = str(surveys["noisy"].with_name("refused.zarr"))
     done = CliRunner().invoke(app, ["costmap", str(surveys["noisy"]), "--out", out, "--noise", "11"])

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import HeightmapError
 from joulemap.model.field.sites import random_site
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
-from joulemap.model.terrain.denoising import LEAST_NOISE_M, MARGIN_CELLS, denoised, noise_of
+from joulemap.model.terrain.denoising import LEAST_NOISE_M, MARGIN_CELLS, _details, denoised, noise_of, noise_shares
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import open_ground, read_heightmap
 from joulemap.model.terrain.survey import SurveyQuality, degrade
@@ -50,6 +51,37 @@ def test_most_of_the_noise_goes_and_the_ground_stays(smooth, cells_m, noise_m):
     ground = noisy(clean, noise_m, rng).without_noise
     assert np.std(ground.heights - clean.heights) < 0.5 * noise_m
     assert np.std(clean.without_noise.heights - clean.heights) < 0.004
+
+
+def test_shares_of_independent_noise_are_the_published_ones():
+    """Starck & Murtagh 2006, table of the B3 spline wavelet: 0.890, 0.201, 0.086."""
+    assert noise_shares(0.0) == pytest.approx((0.890, 0.201, 0.086), abs=1e-3)
+
+
+@pytest.mark.parametrize("length_cells", [1.0, 2.0, 5.0])
+def test_shares_of_noise_with_a_length_are_those_of_drawn_noise(length_cells):
+    shape = (800, 800)
+    noise = gaussian_filter(np.random.default_rng(7).standard_normal(shape), length_cells / np.sqrt(2.0), mode="wrap")
+    noise = (noise / noise.std()).astype(np.float32)
+    details = _details(noise, np.ones(shape, np.float32), np.float32(0.0))[0]
+    assert [detail.std() for detail in details] == pytest.approx(noise_shares(length_cells), rel=0.08, abs=0.002)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_noise_that_is_alike_over_some_cells_goes_where_it_is_told(smooth):
+    clean, rng = surveys(0.25, smooth=smooth)
+    noise = gaussian_filter(rng.standard_normal(clean.frame.shape), 2.0 / np.sqrt(2.0), mode="wrap")
+    survey = replace(clean, heights=(clean.heights + 0.05 / noise.std() * noise).astype(np.float32))
+    told = replace(survey, given_noise_m=0.05, noise_length_m=0.5).without_noise
+
+    def _twists(ground):
+        """Of squares of two cells, of the error: what wheels feel of it."""
+        error = ground.heights - clean.heights
+        return np.std(error[2:, 2:] - error[2:, :-2] - error[:-2, 2:] + error[:-2, :-2])
+
+    assert _twists(survey.without_noise) > 0.9 * _twists(survey)  # by the map alone it is ground
+    assert _twists(told) < 0.7 * _twists(survey)
+    assert told.removed_noise_m < 0.4 * 0.05  # it hides less of the finest details than independent noise
 
 
 def test_without_noise_nothing_is_changed():

@@ -141,7 +141,7 @@ def test_by_its_objective_a_route_is_never_worse_than_the_cheapest(seed: int, co
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_path_is_below_the_bound_where_runs_have_their_deviations_in_common(seed: int) -> None:
-    """Among 300 random paths of a grid, each priced in full: the square of a sum of deviations is no sum over metres."""
+    """Among 300 random paths, each priced in full: the square of a sum of deviations is no sum over metres."""
     rng = np.random.default_rng(seed)
     lattice = patchy(rng, 9, 9)
     lattice = known(lattice, lattice.std_j[..., 0], run_share=0.02, correlation_m=0.5, run_std_share=0.5)
