@@ -4,9 +4,9 @@
 
 where E is their energy and S the sum of their standard deviations: what differs between runs is a share of the energy,
 or more where the model says that it knows less. The median is the bias, and errors above it may be larger than those
-below (a two-piece distribution). The parameters maximise the likelihood of the summed errors of stretches of 20, 40, ...
-segments (a composite marginal likelihood): what a verdict needs is the spread of sums, and neighbouring segments say
-little of it.
+below (a two-piece distribution). The parameters maximise the likelihood of the summed errors of stretches of 20, 40,
+80 and 160 segments (a composite marginal likelihood): what a verdict needs is the spread of sums, and neighbouring
+segments say little of it.
 
 Reference: Varin, Reid & Firth 2011, "An overview of composite likelihood methods". Lange, Little & Taylor 1989, "Robust
 statistical modeling using the t distribution". Wallis 2014, "The two-piece normal, binormal, or double Gaussian

@@ -24,7 +24,9 @@ from joulemap.model.threads import pieces, share_out
 
 FloatArray = NDArray[np.float32]
 
-_SCALES = 3
+NOISE_SHARES = (0.8908, 0.2007, 0.0857)
+"""Standard deviation of the details of white noise of unit standard deviation, per scale (Starck & Murtagh 2006)."""
+_SCALES = len(NOISE_SHARES)
 _SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 LEAST_NOISE_M = 0.003
 """Noise below this changes no price by 1 %, and rough ground alone may look like it."""
@@ -76,8 +78,10 @@ def noise_shares(length_cells: float) -> tuple[float, ...]:
     """Return the standard deviation of the details of noise of unit standard deviation, per scale.
 
     A detail is the difference of two averages over separable splines s_a and s_b, and the correlation R is separable
-    too: its variance is (s_a R s_a)^2 - 2 (s_a R s_b)^2 + (s_b R s_b)^2. Of independent noise: Starck & Murtagh 2006.
+    too: its variance is (s_a R s_a)^2 - 2 (s_a R s_b)^2 + (s_b R s_b)^2. Of independent noise as published.
     """
+    if length_cells == 0.0:
+        return NOISE_SHARES
     splines = [np.ones(1)]
     for scale in range(_SCALES):
         step = np.zeros(4 * 2**scale + 1)

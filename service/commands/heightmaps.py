@@ -68,7 +68,7 @@ def info(
                 f"given, alike over {seen.noise_length_m:g} m"
                 if seen.noise_given
                 else "estimated from what differs from cell to cell. Noise that is alike over some cells, as of a "
-                "drone, cannot be told from ground by the map alone: give --noise and --noise-length"
+                "drone, looks like ground: give --noise and --noise-length"
             ),
             **dict(zip(("slopes", "bumps", "steps"), seen.in_words(rover), strict=True)),
         }

@@ -47,7 +47,7 @@ def drawn_noise(
     return noise
 
 
-def measure(sites: int, *, correlation_m: float, told: bool, as_surveyed: bool, seed: int) -> dict[tuple, list]:
+def measure(sites: int, *, correlation_m: float, given: bool, as_surveyed: bool, seed: int) -> dict[tuple, list]:
     """(model, cells, noise) -> per site: sum of predicted and of driven energies, error per metre; blocked share."""
     predictors = {name: load_predictor(name) for name in MODELS}
     found = defaultdict(list)
@@ -70,8 +70,8 @@ def measure(sites: int, *, correlation_m: float, told: bool, as_surveyed: bool, 
             unit = drawn_noise(clean.frame.shape, cells_m, correlation_m, rng)
             for noise_m in NOISES_M:
                 heights = (clean.heights + noise_m * unit).astype(np.float32)
-                given = {"given_noise_m": noise_m, "noise_length_m": correlation_m} if told else {}
-                survey = Heightmap(heights, clean.frame, **given)
+                known = {"given_noise_m": noise_m, "noise_length_m": correlation_m} if given else {}
+                survey = Heightmap(heights, clean.frame, **known)
                 ground = survey if as_surveyed else survey.without_noise
                 hidden = ground_limits(ground, frame, declared)[2] == Blocked.STEP
                 for name, predictor in predictors.items():
@@ -129,7 +129,7 @@ def main() -> None:
     parser.add_argument("--sites", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--correlation", type=float, default=0.0, help="length over which noise is alike [m]")
-    parser.add_argument("--told", action="store_true", help="tell noise and length instead of letting it be estimated")
+    parser.add_argument("--given", action="store_true", help="give noise and length instead of letting it be estimated")
     parser.add_argument("--as-surveyed", action="store_true", help="price the surveys as they are")
     parser.add_argument("--routes", action="store_true", help="what the routes that are found cost on the true ground")
     given = parser.parse_args()
@@ -139,7 +139,7 @@ def main() -> None:
     found = measure(
         given.sites,
         correlation_m=given.correlation,
-        told=given.told,
+        given=given.given,
         as_surveyed=given.as_surveyed,
         seed=given.seed,
     )

@@ -56,6 +56,7 @@ def test_most_of_the_noise_goes_and_the_ground_stays(smooth, cells_m, noise_m):
 def test_shares_of_independent_noise_are_the_published_ones():
     """Starck & Murtagh 2006, table of the B3 spline wavelet: 0.890, 0.201, 0.086."""
     assert noise_shares(0.0) == pytest.approx((0.890, 0.201, 0.086), abs=1e-3)
+    assert noise_shares(1e-3) == pytest.approx(noise_shares(0.0), abs=3e-4)
 
 
 @pytest.mark.parametrize("length_cells", [1.0, 2.0, 5.0])
