@@ -123,9 +123,9 @@ CORRIDOR_PERCENT = Range(0.0, 1000.0)
 """How much dearer than the best the routes of a corridor may be [%]."""
 
 NOISE_M = Range(0.0, 10.0)
+"""Standard deviation of a survey's noise [m]."""
 NOISE_LENGTH_M = Range(0.0, 1000.0)
 """Length over which noise is alike [m]; over more it is an offset."""
-"""Standard deviation of a survey's noise [m]."""
 
 OBJECTIVES = ("mean", "quantile", "arrival")
 """What a route may be chosen by: its expected energy, a quantile of it, the probability to arrive with the reserve."""
