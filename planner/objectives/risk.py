@@ -262,7 +262,20 @@ class Outcome(Generic[Ways]):
     searches: int
 
     def joined(self, other: Outcome[Ways], worth: Callable[[Priced[Ways]], float]) -> Outcome[Ways]:
-        """Return the better of two outcomes of one objective, with what both say of all ways."""
+        """Return the better of two outcomes of one objective, with what both say of all ways.
+
+        Parameters
+        ----------
+        other : Outcome
+            Of other searches.
+        worth : callable
+            What the better is chosen by.
+
+        Returns
+        -------
+        Outcome
+            With the larger bound of both.
+        """
         better = min((self, other), key=lambda one: worth(one.best))
         bound = min(max(self.bound, other.bound), better.value)
         return replace(better, bound=bound, searches=self.searches + other.searches)
