@@ -165,7 +165,9 @@ def reading_words(reading: Mapping[str, Any]) -> list[str]:
 
     usual = {name: field.default for name, field in UploadOptions.model_fields.items()}
     given = {name: value for name, value in reading.items() if value != usual[name]}
-    return [word for name, value in given.items() for word in (f"--{name.removesuffix('_m').replace('_', '-')}", str(value))]
+    return [
+        word for name, value in given.items() for word in (f"--{name.removesuffix('_m').replace('_', '-')}", str(value))
+    ]
 
 
 def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
