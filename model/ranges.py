@@ -63,6 +63,8 @@ ROBOT = {
     "regeneration": Range(0.0, 0.99),
     "turn_j_per_rad": Range(0.0, 1e5),
     "tracking_std_m": Range(0.0, 10.0),
+    "clearance_m": Range(0.0, 10.0),
+    "centre_ahead_m": Range(-10.0, 10.0),
     "gravity_mps2": Range(0.01, 30.0),
 }
 """By attribute of `Robot`, in the unit that the name ends with."""

@@ -56,6 +56,10 @@ class Robot:
     tracking_std_m : float
         Standard deviation of how far beside its path the robot drives [m]. Paths keep three times that, at least
         half a cell and at most three, between them and ground that may not be driven; with 0 they keep nothing.
+    clearance_m : float
+        Least distance between its outline and every obstacle [m].
+    centre_ahead_m : float
+        How far the middle of its outline lies ahead of the point that follows the route [m], negative behind it.
     gravity_mps2 : float
         Gravity where it drives [m/s2]: 1.62 on the Moon, 3.71 on Mars.
 
@@ -84,6 +88,8 @@ class Robot:
     regeneration: float = 0.0
     turn_j_per_rad: float = 0.0
     tracking_std_m: float = 0.1
+    clearance_m: float = 0.0
+    centre_ahead_m: float = 0.0
     gravity_mps2: float = GRAVITY_MPS2
 
     def __post_init__(self) -> None:
@@ -114,9 +120,11 @@ class Robot:
 
     def __repr__(self) -> str:
         elsewhere = "" if self.gravity_mps2 == GRAVITY_MPS2 else f", under a gravity of {self.gravity_mps2:g} m/s2"
+        place = f", its middle {self.centre_ahead_m:g} m ahead" if self.centre_ahead_m else ""
+        place += f", {self.clearance_m:g} m clear of obstacles" if self.clearance_m else ""
         return (
-            f"Robot {self.name}: {self.mass_kg:g} kg, {self.width_m:g} m wide, {self.length_m:g} m long, wheels of "
-            f"{self.wheel_radius_m:g} m radius, {self.speed_mps:g} m/s, battery {self.battery_wh:g} Wh at "
+            f"Robot {self.name}: {self.mass_kg:g} kg, {self.width_m:g} m wide, {self.length_m:g} m long{place}, "
+            f"wheels of {self.wheel_radius_m:g} m radius, {self.speed_mps:g} m/s, battery {self.battery_wh:g} Wh at "
             f"{self.nominal_voltage_v:g} V, {self.idle_power_w:g} W idle, limits {self.max_grade_deg:g} deg along and "
             f"{self.max_cross_slope_deg:g} deg across the slope, rolling resistance {self.rolling_resistance:g}, "
             f"regeneration {self.regeneration:g}, turning {self.turn_j_per_rad:g} J/rad, "

@@ -11,6 +11,7 @@ from numba import njit
 
 from joulemap.model.frames import heading_bins, heading_vector
 from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice.obstacles import MEETS, meets
 from joulemap.planner.pricing.integrator import price_terms
 
 
@@ -24,7 +25,7 @@ def figures_of(lattice: CostLattice) -> dict[str, Any]:
     least, most, total = _tally(
         lattice.traction_per_m,
         lattice.gradient,
-        lattice.blocked,
+        lattice.closed,
         price_terms(lattice),
         *heading_vector(heading_bins(lattice.headings)),
         int(Blocked.GRADE),
@@ -59,21 +60,24 @@ def joined_figures(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 @njit(cache=True, nogil=True)
-def _tally(traction, gradient, blocked, terms, east, north, grade, cross_slope, counts):
+def _tally(traction, gradient, closed, terms, east, north, grade, cross_slope, counts):
     """(least, most, sum) of the prices of free pairs; counts : filled by code, as `CostLattice.blocked_at`."""
     hotel, regeneration, max_grade, max_cross = terms[1], terms[2], terms[3], terms[4]
     least, most, total = math.inf, -math.inf, 0.0
     for i in range(traction.shape[0]):
         for j in range(traction.shape[1]):
-            if blocked[i, j] != 0:
-                counts[blocked[i, j]] += east.size
+            if closed.codes[i, j] != 0:
+                counts[closed.codes[i, j]] += east.size
                 continue
+            near = closed.room.size > 0 and (closed.near.size == 0 or closed.near[i, j])
             to_east, to_north = gradient[i, j, 0], gradient[i, j, 1]
             for k in range(east.size):
                 if abs(to_east * east[k] + to_north * north[k]) > max_grade:
                     counts[grade] += 1
                 elif abs(to_east * north[k] - to_north * east[k]) > max_cross:
                     counts[cross_slope] += 1
+                elif near and meets(closed.room, closed.body, i, j, i, j, east[k], north[k], 0.0):
+                    counts[MEETS] += 1
                 else:
                     counts[0] += 1
                     demand = np.float64(traction[i, j, k])

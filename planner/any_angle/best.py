@@ -163,7 +163,7 @@ def _cheapest_in(
     parts = CLOSED_PARTS if closed or turning else OPEN_PARTS
     found = cheapest_over_line_points(lattice, prices, cells, known[0], known[-1], parts=parts, typical_j=typical_j)
     paths = [found, known] if len(found) and turning else [found] if len(found) else [known]
-    return min([*(_moved(prices, path) for path in paths), known], key=lambda path: path_energy(*prices, path))
+    return min([known, *(_moved(prices, path) for path in paths)], key=lambda path: path_energy(*prices, path))
 
 
 def _moved(prices: Prices, points: Points) -> Points:

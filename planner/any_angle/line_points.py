@@ -19,6 +19,7 @@ from joulemap.planner.any_angle.chords import AROUND, Chords, chords_of
 from joulemap.planner.grid.buckets import BUCKETS, put
 from joulemap.planner.grid.stopping import check_stop, stop_flag
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice.obstacles import meets
 from joulemap.planner.pricing.integrator import Points, Prices, interpolation_matrix, leg_prices_between
 from joulemap.planner.pricing.kernels import fill_tractions, mean_response
 from joulemap.planner.pricing.polylines import distinct
@@ -197,6 +198,15 @@ def _cheapest(
                 arrived = so_far + (hotel + mean) * length * spacing
                 if turning and heading_in >= 0:
                     arrived += turn[heading_in, h]
+                if arrived < before and blocked.room.size > 0 and (blocked.near.size == 0 or blocked.near[row, col]):
+                    begin_row, begin_col = row + chords.places[kind, 0], col + chords.places[kind, 1]
+                    east, north = chords.directions[h, 0], chords.directions[h, 1]
+                    end_row, end_col = begin_row - length * north, begin_col + length * east
+                    leg = (begin_row, begin_col, end_row, end_col, east, north)
+                    if meets(blocked.room, blocked.body, *leg, 0.0):
+                        continue
+                    if terms[6] > 0.0 and meets(blocked.room, blocked.body, *leg, terms[6]):
+                        arrived += terms[8] * length
                 if arrived < before and beside > 0:
                     for k in range(beside):
                         i, j = row + chords.beside[n, k, 0], col + chords.beside[n, k, 1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 import signal
 import sys
 import threading
@@ -17,15 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import TooLargeError
-from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.frames import GridFrame, heading_bins, heading_vector
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.windows import Ground, overview
 from joulemap.model.traction import TractionSource
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.io import LatticeFolder
-from joulemap.planner.lattice.limits import ground_limits, noise_warnings
-from joulemap.planner.lattice.tiles import Tiling, ground_of
+from joulemap.planner.lattice.limits import ground_limits, noise_warnings, size_warnings
+from joulemap.planner.lattice.obstacles import Obstacles, squares_per_cell
+from joulemap.planner.lattice.steps import shows_obstacles
+from joulemap.planner.lattice.tiles import MODEL_REACH_M, Tiling, ground_of
 
 DEFAULT_HEADINGS = 16
 MAX_LATTICE_VALUES = 400_000_000
@@ -43,11 +46,37 @@ def build_tile(
     """
     frame = tiling.frame.window(rows.start, rows.stop, cols.start, cols.stop)
     heights = ground_of(ground, frame, robot)
-    elevation, gradient, blocked = ground_limits(heights, frame, robot)
+    elevation, gradient, blocked, obstacles, beside = ground_limits(heights, frame, robot)
     traction, std = source.traction_and_std(heights, robot, frame, heading_bins(tiling.headings))
-    silent = np.isnan(traction).any(axis=2) & (blocked == Blocked.FREE)
+    if beside.any():
+        _price_beside_obstacles(traction, std, beside, gradient, robot, source, heights.resolution_m)
+    silent = np.isnan(traction).any(axis=2) & ((blocked == Blocked.FREE) | (blocked == Blocked.OBSTACLE))
     blocked[silent] = Blocked.UNKNOWN
-    return CostLattice(frame, robot, traction, elevation, gradient, blocked, {}, std)
+    return CostLattice(frame, robot, traction, elevation, gradient, blocked, {}, std, obstacles=obstacles)
+
+
+def _price_beside_obstacles(
+    traction: NDArray[np.float32],
+    std: NDArray[np.float32] | None,
+    beside: NDArray[np.bool_],
+    gradient: NDArray[np.float32],
+    robot: Robot,
+    source: TractionSource,
+    resolution_m: float,
+) -> None:
+    """Price cells as level ground and the climb of their plane: a model that read a wall would take it for a slope."""
+    headings = heading_bins(traction.shape[2])
+    pixels = math.ceil(2.0 * MODEL_REACH_M / resolution_m) + 9
+    frame = GridFrame(0.0, pixels * resolution_m, resolution_m, pixels, pixels)
+    middle = frame.window(pixels // 2, pixels // 2 + 1, pixels // 2, pixels // 2 + 1)
+    level, level_std = source.traction_and_std(
+        Heightmap(np.zeros(frame.shape, dtype=np.float32), frame), robot, middle, headings
+    )
+    east, north = heading_vector(headings)
+    climb = gradient[beside, :1] * east + gradient[beside, 1:] * north  # (cells, K)
+    traction[beside] = level[0, 0] + robot.weight_n * climb
+    if std is not None and level_std is not None:
+        std[beside] = level_std[0, 0]
 
 
 def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: Tiling) -> dict[str, Any]:
@@ -69,7 +98,11 @@ def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: 
         "model": source.provenance(),
         "spacing_m": tiling.frame.resolution_m,
         "headings": tiling.headings,
-        "warnings": [*source.warnings(overview(ground), robot), *noise_warnings(ground.noise_m, robot)],
+        "warnings": [
+            *source.warnings(overview(ground), robot),
+            *noise_warnings(ground.noise_m, robot),
+            *size_warnings(ground.frame, robot),
+        ],
     }
 
 
@@ -103,6 +136,7 @@ def build_lattice(
     gradient = np.empty((*frame.shape, 2), dtype=np.float32)
     blocked = np.empty(frame.shape, dtype=np.uint8)
     std: NDArray[np.float32] | None = None
+    obstacles: Obstacles | None = None
     for number, place in enumerate(tiling):
         part = build_tile(ground, robot, source, tiling, *place)
         traction[place], elevation[place] = part.traction_per_m, part.elevation_m
@@ -110,10 +144,13 @@ def build_lattice(
         if part.std_j is not None:
             std = np.empty_like(traction) if std is None else std
             std[place] = part.std_j
+        if part.obstacles is not None:
+            obstacles = Obstacles.none(frame, part.obstacles.per_cell) if obstacles is None else obstacles
+            obstacles.place(part.obstacles, *place)
         if progress is not None:
             progress((number + 1) / len(tiling))
     provenance = provenance_of(ground, robot, source, tiling)
-    return CostLattice(frame, robot, traction, elevation, gradient, blocked, provenance, std)
+    return CostLattice(frame, robot, traction, elevation, gradient, blocked, provenance, std, obstacles=obstacles)
 
 
 def write_lattice(
@@ -135,7 +172,12 @@ def write_lattice(
     folder = LatticeFolder(path)
     with _Interruptions() as interruptions, folder.whole_or_nothing():
         with interruptions.held_back():
-            folder.lay_out(tiling, robot, with_std=knows_spread(source, robot))
+            folder.lay_out(
+                tiling,
+                robot,
+                with_std=knows_spread(source, robot),
+                squares=squares_of(tiling, ground.frame.resolution_m, robot),
+            )
         writer = ThreadPoolExecutor(1)  # writes a tile while the next one is priced
         try:
             described = writer.submit(provenance_of, ground, robot, source, tiling)
@@ -199,6 +241,11 @@ class _Interruptions:
             self._held = to_the_end
             if self._came is not None and not to_the_end:
                 self._handle(self._came, None)
+
+
+def squares_of(tiling: Tiling, resolution_m: float, robot: Robot) -> int:
+    """Return into how many squares cells are cut for obstacles; 0 on a map that is too coarse to show any."""
+    return squares_per_cell(tiling.frame.resolution_m, resolution_m) if shows_obstacles(resolution_m, robot) else 0
 
 
 def knows_spread(source: TractionSource, robot: Robot) -> bool:

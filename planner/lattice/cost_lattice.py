@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame, heading_bins, heading_vector
 from joulemap.model.robot import Robot
+from joulemap.planner.lattice.obstacles import MEETS, Closed, Obstacles, close_by_heading, closed_ground
 
 
 class Blocked(IntEnum):
@@ -27,6 +28,7 @@ class Blocked(IntEnum):
     CROSS_SLOPE = 5  # steeper across the motion than max_cross_slope_deg (this heading only)
     AVOID = 6  # a question asked to keep out, see `avoid`
     POWER = 7  # more power than a question allows (this heading only), see `CostLattice.max_traction_per_m`
+    OBSTACLE = MEETS  # the robot's outline would meet a step, a wall or another obstacle
 
     @property
     def label(self) -> str:
@@ -61,6 +63,8 @@ class CostLattice:
         Standard deviation of the energy of the 1 m segment centred at the cell [J]; None where the model gives none.
     max_traction_per_m : float
         A heading in a cell that needs more is blocked [J/m]: a limit of power, over the speed. By default none is.
+    obstacles : Obstacles, or None
+        What the robot's outline must not meet on any leg; None where there is nothing of that kind.
     """
 
     frame: GridFrame
@@ -72,6 +76,7 @@ class CostLattice:
     provenance: dict[str, Any] = field(default_factory=dict)
     std_j: NDArray[np.float32] | None = None
     max_traction_per_m: float = math.inf
+    obstacles: Obstacles | None = None
 
     def __post_init__(self) -> None:
         shapes = {
@@ -134,6 +139,15 @@ class CostLattice:
             np.tan(np.deg2rad(self.robot.max_cross_slope_deg))
         )
 
+    @property
+    def closed(self) -> Closed:
+        """What closes legs beside slopes, for the pricing kernels."""
+        return Closed(self.blocked, *self._closed[1:])
+
+    @cached_property
+    def _closed(self) -> Closed:
+        return closed_ground(self.blocked, self.obstacles, self.frame, self.robot)
+
     def blocked_at(self, headings_rad: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Return why cells may not be driven at some headings, limits on grade and cross slope included.
 
@@ -153,7 +167,10 @@ class CostLattice:
         codes = np.zeros((*self.frame.shape, np.size(headings_rad)), dtype=np.uint8)
         codes[np.abs(rise_east * north - rise_north * east) > max_cross] = Blocked.CROSS_SLOPE
         codes[np.abs(rise_east * east + rise_north * north) > max_grade] = Blocked.GRADE
-        return np.where(self.blocked[..., None] > 0, self.blocked[..., None], codes)
+        codes = np.where(self.blocked[..., None] > 0, self.blocked[..., None], codes)
+        if self.obstacles is not None:
+            close_by_heading(self.closed, np.atleast_1d(east), np.atleast_1d(north), codes)
+        return codes
 
     def window(self, row0: int, row1: int, col0: int = 0, col1: int | None = None) -> CostLattice:
         """Return the lattice of cells [row0, row1) x [col0, col1).
@@ -179,6 +196,7 @@ class CostLattice:
             gradient=self.gradient[part],
             blocked=self.blocked[part],
             std_j=None if self.std_j is None else self.std_j[part],
+            obstacles=None if self.obstacles is None else self.obstacles.window(row0, col0),
         )
 
     def blocked_by_heading(self) -> NDArray[np.uint8]:

@@ -25,6 +25,7 @@ from joulemap.planner.lattice import Blocked, CostLattice, checksums, older_maps
 from joulemap.planner.lattice.checked_store import CheckedStore
 from joulemap.planner.lattice.checksums import Checksums, damaged
 from joulemap.planner.lattice.chunks import read_array
+from joulemap.planner.lattice.obstacles import Obstacles
 from joulemap.planner.lattice.tiles import TILE_CELLS, Tiling
 from joulemap.planner.lattice.xarray_dataset import CRS_VARIABLE, DIMENSIONS, attributes_of, coordinates_of
 
@@ -32,6 +33,8 @@ FORMAT = "joulemap.cost-lattice/1"
 """Dimension names, coordinates and units came later and are no part of it: folders without them are read as well."""
 _ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked")
 _OPTIONAL = ("std_j",)
+OBSTACLES = "obstacles"
+"""The room of `Obstacles`, on squares of a whole number to the cell; without it there are none."""
 _CHECKED = "checksums"
 """Attribute of a lattice that has checksums: without it they are only missing in a folder of an older version."""
 _COMPRESSOR = BloscCodec(cname="lz4", clevel=1, shuffle="shuffle")  # noise of the last bits does not compress: be quick
@@ -67,7 +70,7 @@ class LatticeFolder:
             return
         shutil.rmtree(self.partial, ignore_errors=True)
 
-    def lay_out(self, tiling: Tiling, robot: Robot, *, with_std: bool, again: bool = True) -> None:
+    def lay_out(self, tiling: Tiling, robot: Robot, *, with_std: bool, squares: int = 0, again: bool = True) -> None:
         """Make the empty arrays with their coordinates, whole or not at all.
 
         Parameters
@@ -78,6 +81,8 @@ class LatticeFolder:
             Whose prices these are.
         with_std : bool
             Whether `std_j` will be written.
+        squares : int, optional
+            Squares of obstacles along the side of a cell; 0 where there are none.
         again : bool, optional
             Remove what an earlier try left; else it is kept, and the tiles that are there with it.
 
@@ -90,7 +95,7 @@ class LatticeFolder:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         begun = self.path.with_name(f"{self.path.name}.{secrets.token_hex(4)}.partial")
         try:
-            _lay_out(begun, tiling, robot, with_std=with_std)
+            _lay_out(begun, tiling, robot, with_std=with_std, squares=squares)
             if again:
                 shutil.rmtree(self.partial, ignore_errors=True)
             if not self.partial.exists():
@@ -149,6 +154,10 @@ class LatticeFolder:
             data = getattr(part, name)
             if data is not None:
                 group[name][rows, cols] = data  # type: ignore[index]
+        if part.obstacles is not None:
+            n = part.obstacles.per_cell
+            squares = slice(rows.start * n, rows.stop * n), slice(cols.start * n, cols.stop * n)
+            group[OBSTACLES][squares] = part.obstacles.under(*part.frame.shape)  # type: ignore[index]
 
     def read_unfinished(self, provenance: dict[str, Any]) -> CostLattice:
         """Read a lattice all of whose tiles are written, before it is finished.
@@ -233,12 +242,13 @@ def save_lattice(lattice: CostLattice, path: str | Path) -> None:
     folder = LatticeFolder(path)
     tiling = Tiling(lattice.frame, lattice.headings, TILE_CELLS)
     with folder.whole_or_nothing():
-        folder.lay_out(tiling, lattice.robot, with_std=lattice.std_j is not None)
+        squares = 0 if lattice.obstacles is None else lattice.obstacles.per_cell
+        folder.lay_out(tiling, lattice.robot, with_std=lattice.std_j is not None, squares=squares)
         folder.write(lattice, slice(0, lattice.frame.rows), slice(0, lattice.frame.cols))
         folder.finish(lattice.provenance)
 
 
-def _lay_out(place: Path, tiling: Tiling, robot: Robot, *, with_std: bool) -> None:
+def _lay_out(place: Path, tiling: Tiling, robot: Robot, *, with_std: bool, squares: int) -> None:
     frame = tiling.frame
     group = zarr.open_group(place, mode="w")
     by_heading, side = (tiling.headings,), tiling.side
@@ -260,6 +270,17 @@ def _lay_out(place: Path, tiling: Tiling, robot: Robot, *, with_std: bool) -> No
             compressors=_COMPRESSOR,
             dimension_names=DIMENSIONS[name],
             attributes=attributes_of(name, frame.crs),
+        )
+    if squares:
+        group.create_array(
+            OBSTACLES,
+            shape=tuple(squares * size for size in frame.shape),
+            chunks=tuple(squares * min(side, size) for size in frame.shape),
+            dtype="uint8",
+            fill_value=255,
+            compressors=_COMPRESSOR,
+            dimension_names=DIMENSIONS[OBSTACLES],
+            attributes=attributes_of(OBSTACLES, None),
         )
     for name, (dimensions, values, attributes) in coordinates_of(frame, tiling.headings).items():
         group.create_array(name, data=values, dimension_names=dimensions, attributes=attributes)
@@ -370,6 +391,23 @@ def load_lattice(path: str | Path) -> CostLattice:
     return _in_memory(path, open_group(path))
 
 
+def obstacles_of(group: zarr.Group) -> zarr.Array[Any] | None:
+    """The stored obstacles of a lattice; None where no tile had any.
+
+    Parameters
+    ----------
+    group : zarr.Group
+        As `open_group` opens it.
+
+    Returns
+    -------
+    zarr.Array or None
+        The room of `Obstacles`, not read yet.
+    """
+    found = group.get(OBSTACLES)
+    return found if isinstance(found, zarr.Array) and found.nchunks_initialized else None
+
+
 def _in_memory(path: str | Path, group: zarr.Group) -> CostLattice:
     meta: dict[str, Any] = dict(group.attrs)
     try:
@@ -378,6 +416,9 @@ def _in_memory(path: str | Path, group: zarr.Group) -> CostLattice:
             for name in (*_ARRAYS, *_OPTIONAL)
             if name in group
         }
+        stored = obstacles_of(group)
+        if stored is not None:
+            arrays[OBSTACLES] = Obstacles(read_array(stored), stored.shape[0] // int(meta["frame"]["rows"]))
         return CostLattice(
             frame=GridFrame(**meta["frame"]),
             robot=Robot.from_mapping(meta["robot"]),

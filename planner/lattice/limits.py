@@ -15,9 +15,15 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.rows import columns_between, sample_row
 from joulemap.model.threads import pieces, share_out
 from joulemap.planner.lattice import Blocked
-
-SQUARE_M = 1.0
-"""Side of the square around a cell that is judged: the paper's patch."""
+from joulemap.planner.lattice.obstacles import (
+    Obstacles,
+    any_closed,
+    close_at_any_heading,
+    closed_ground,
+    reach_m,
+    room_east,
+)
+from joulemap.planner.lattice.steps import SQUARE_M, obstacles_under, obstructed
 
 STEP_IN_NOISE = 7.5
 """A step of so many standard deviations of the noise is found in 75 to 100 % of the cells that it crosses: measured on
@@ -28,45 +34,53 @@ _ROWS_AT_ONCE = 32
 
 def ground_limits(
     heightmap: Heightmap, frame: GridFrame, robot: Robot
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
-    """Return elevation, gradient and the blocked codes that hold for every heading.
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8], Obstacles | None, NDArray[np.bool_]]:
+    """Return elevation, gradient, the blocked codes that hold for every heading, obstacles, and the cells beside them.
 
     Returns `elevation` (rows, cols): at the cell centre [m]; `gradient` (rows, cols, 2): rise per metre to east and
-    north of the least-squares plane through the square metre around the cell; `blocked` (rows, cols): `Blocked` codes.
+    north of the least-squares plane through the square around the cell, of the ground that is joined to its middle
+    without an obstacle between; `blocked` (rows, cols): `Blocked` codes; `obstacles`: what the outline must not meet,
+    None where there is nothing of that kind; `beside` (rows, cols): whether one lies in the square around the cell.
 
-    A step is what a wheel or the underside of the robot hits, either of
-
-    - a rise within one wheel diameter (to whole pixels, so only maps finer than a wheel show it), along a row or a
-      column of the heightmap, that exceeds the wheel radius and that neither the run before it nor the one after
-      shares: a kerb, a wall or a ditch, but not a steep slope, which is limited by the grade;
-    - ground that departs from the plane by more than the wheel diameter: a boulder, a post or a hole.
+    The square is a metre wide, or as wide as a wider robot. Ground in it that departs from the plane by more than the
+    wheel diameter is a boulder, a post or a hole, which the robot cannot have between its wheels.
     """
-    samples = int(np.clip(round(SQUARE_M / heightmap.resolution_m) + 1, 9, 21))
+    side_m = max(SQUARE_M, robot.width_m)
+    samples = int(np.clip(round(side_m / heightmap.resolution_m) + 1, 9, 21))
     x, y = frame.centres()
     row, _ = heightmap.frame.rowcol(0.0, y)
     _, col = heightmap.frame.rowcol(x, 0.0)
-    diameter = 2.0 * robot.wheel_radius_m / heightmap.resolution_m
     elevation = np.empty(frame.shape, dtype=np.float32)
     gradient = np.full((*frame.shape, 2), np.nan, dtype=np.float32)
     blocked = np.zeros(frame.shape, dtype=np.uint8)
     codes = int(Blocked.OUTSIDE), int(Blocked.UNKNOWN), int(Blocked.STEP)
+    beside = np.zeros(frame.shape, dtype=np.bool_)
+    steps = obstructed(heightmap, robot)
+    room = np.zeros((0, 0), np.uint8) if steps is None else room_east(steps)
     share_out(
         lambda rows: _ground_limits(
             heightmap.heights,
+            room,
             row[rows],
             col,
             heightmap.resolution_m,
+            side_m,
             samples,
-            int(diameter),
             robot.wheel_radius_m,
+            reach_m(robot) > 0.5 * SQUARE_M,
             codes,
             elevation[rows],
             gradient[rows],
             blocked[rows],
+            beside[rows],
         ),
         pieces(frame.rows, _ROWS_AT_ONCE),
     )
-    return elevation, gradient, blocked
+    obstacles = None if steps is None else obstacles_under(frame, steps, heightmap.frame)
+    if obstacles is not None:
+        closed = closed_ground(blocked, obstacles, frame, robot)
+        close_at_any_heading(closed, robot.width_m / 2.0 + robot.clearance_m, frame.resolution_m, blocked)
+    return elevation, gradient, blocked, obstacles, beside
 
 
 def noise_warnings(noise_m: float, robot: Robot) -> list[str]:
@@ -85,17 +99,31 @@ def noise_warnings(noise_m: float, robot: Robot) -> list[str]:
     return [said]
 
 
+def size_warnings(ground: GridFrame, robot: Robot) -> list[str]:
+    """Return whether the map is too coarse for the robot's outline."""
+    if reach_m(robot) <= 0.5 * SQUARE_M or robot.width_m > ground.resolution_m:
+        return []
+    return [
+        f"the map's cells of {ground.resolution_m:g} m are not smaller than {robot.name}, {robot.width_m:g} m wide: "
+        f"its outline is not judged on them, only the {SQUARE_M:g} m square around its reference point"
+    ]
+
+
 @njit(cache=True, nogil=True)
-def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, codes, elevation, gradient, blocked):
+def _ground_limits(
+    heights, room, row, col, resolution_m, side_m, samples, wheel_m, unknown_is_obstacle, codes,
+    elevation, gradient, blocked, beside,
+):  # fmt: skip
     outside, unknown, step = codes
     rows, cols = row.size, col.size
     half = 0.5 * (samples - 1)
-    pitch_m = SQUARE_M / (samples - 1)
+    pitch_m = side_m / (samples - 1)
     pixel = pitch_m / resolution_m
-    reach = half * pixel
+    reach, least = half * pixel, 0.5 * SQUARE_M / resolution_m
     offsets = (np.arange(samples) - half) * pitch_m  # to the east, or to the south [m]
     spread = (offsets**2).sum() * samples  # over the whole square [m2]
     edge = 0.5 + 1e-6
+    last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
     centre = columns_between(col, heights.shape[1])
     squares = columns_between((col.reshape(-1, 1) + (np.arange(samples) - half) * pixel).ravel(), heights.shape[1])
     line, middle = np.empty(heights.shape[1]), np.empty(cols)
@@ -107,12 +135,35 @@ def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, co
         for j in range(cols):
             elevation[i, j] = middle[j]
             if (
-                row[i] - reach < -edge
-                or row[i] + reach > heights.shape[0] - 1 + edge
-                or col[j] - reach < -edge
-                or col[j] + reach > heights.shape[1] - 1 + edge
+                row[i] - least < -edge
+                or row[i] + least > last_row + edge
+                or col[j] - least < -edge
+                or col[j] + least > last_col + edge
             ):
                 blocked[i, j] = outside
+                continue
+            first_row, end_row = (
+                max(math.ceil(row[i] - reach - edge), 0),
+                min(math.floor(row[i] + reach + edge), last_row),
+            )
+            first_col, end_col = (
+                max(math.ceil(col[j] - reach - edge), 0),
+                min(math.floor(col[j] + reach + edge), last_col),
+            )
+            if room.size > 0 and any_closed(room, first_row, end_row, first_col, end_col):
+                rise_east, rise_north, furthest = _plane_between(
+                    heights, room, row[i], col[j], first_row, end_row, first_col, end_col, resolution_m
+                )
+                gradient[i, j, 0] = rise_east
+                gradient[i, j, 1] = rise_north
+                beside[i, j] = True
+                if (
+                    not unknown_is_obstacle
+                    and np.isnan(heights[first_row : end_row + 1, first_col : end_col + 1]).any()
+                ):
+                    blocked[i, j] = unknown
+                elif furthest > 2.0 * wheel_m:
+                    blocked[i, j] = step
                 continue
             mean, rise_east, rise_north = 0.0, 0.0, 0.0
             for a in range(samples):
@@ -131,45 +182,68 @@ def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, co
                 continue
             gradient[i, j, 0] = rise_east
             gradient[i, j, 1] = rise_north
-            if run > 0 and _has_step(heights, row[i], col[j], reach, run, max_step_m):
-                blocked[i, j] = step
-                continue
             furthest = 0.0
             for a in range(samples):
                 of = z[a, j * samples : (j + 1) * samples]
                 for b in range(samples):
                     plane = mean + offsets[b] * rise_east - offsets[a] * rise_north
                     furthest = max(furthest, abs(of[b] - plane))
-            if furthest > 2.0 * max_step_m:
+            if furthest > 2.0 * wheel_m:
                 blocked[i, j] = step
 
 
 @njit(cache=True)
-def _has_step(heights, row, col, reach, run, max_step_m):
-    """Whether some run of `run` pixels whose middle lies in the square around (row, col) is a step."""
-    rows, cols = heights.shape
-    middle = 0.5 * run
-    slack = reach + 1e-6
-    for axis in range(2):
-        down, right = (run, 0) if axis == 0 else (0, run)
-        first_row = max(int(math.ceil(row - slack - (middle if axis == 0 else 0.0))), 0)
-        last_row = min(int(math.floor(row + slack - (middle if axis == 0 else 0.0))), rows - 1 - down)
-        first_col = max(int(math.ceil(col - slack - (middle if axis == 1 else 0.0))), 0)
-        last_col = min(int(math.floor(col + slack - (middle if axis == 1 else 0.0))), cols - 1 - right)
-        for r in range(first_row, last_row + 1):
-            for c in range(first_col, last_col + 1):
-                rise = heights[r + down, c + right] - heights[r, c]
-                if not abs(rise) > max_step_m:  # cheap, and false where a height is unknown
-                    continue
-                jump = abs(rise)
-                if r - down >= 0 and c - right >= 0:
-                    before = heights[r, c] - heights[r - down, c - right]
-                    if not math.isnan(before):
-                        jump = min(jump, abs(rise - before))
-                if r + 2 * down < rows and c + 2 * right < cols:
-                    after = heights[r + 2 * down, c + 2 * right] - heights[r + down, c + right]
-                    if not math.isnan(after):
-                        jump = min(jump, abs(rise - after))
-                if jump > max_step_m:
-                    return True
-    return False
+def _plane_between(heights, room, row, col, first_row, end_row, first_col, end_col, resolution_m):
+    """The plane through the ground of a square that is joined to its middle without an obstacle between.
+
+    Returns its rise per metre to east and north, and how far the ground departs from it [m]; zeros where the middle is
+    an obstacle, or the ground is too little for a plane.
+    """
+    high, wide = end_row - first_row + 1, end_col - first_col + 1
+    seen = np.zeros((high, wide), dtype=np.bool_)
+    stack = np.empty((high * wide, 2), dtype=np.int64)
+    a = min(max(math.floor(row + 0.5 + 1e-6) - first_row, 0), high - 1)
+    b = min(max(math.floor(col + 0.5 + 1e-6) - first_col, 0), wide - 1)
+    count = 0
+    if room[first_row + a, first_col + b] > 0 and not math.isnan(heights[first_row + a, first_col + b]):
+        stack[0, 0], stack[0, 1], seen[a, b], count = a, b, True, 1
+    n = taken = 0
+    sums = np.zeros(9)  # of x, y, z, xx, xy, yy, xz, yz; x to the east and y to the north [m]
+    while taken < count:
+        a, b = stack[taken, 0], stack[taken, 1]
+        taken += 1
+        x, y = (first_col + b - col) * resolution_m, (row - first_row - a) * resolution_m
+        z = np.float64(heights[first_row + a, first_col + b])
+        n += 1
+        sums[0] += x
+        sums[1] += y
+        sums[2] += z
+        sums[3] += x * x
+        sums[4] += x * y
+        sums[5] += y * y
+        sums[6] += x * z
+        sums[7] += y * z
+        for k in range(4):
+            to_a, to_b = a + (k == 0) - (k == 1), b + (k == 2) - (k == 3)
+            if not (0 <= to_a < high and 0 <= to_b < wide) or seen[to_a, to_b]:
+                continue
+            seen[to_a, to_b] = True
+            r, c = first_row + to_a, first_col + to_b
+            if room[r, c] > 0 and not math.isnan(heights[r, c]):
+                stack[count, 0], stack[count, 1] = to_a, to_b
+                count += 1
+    if n < 3:
+        return 0.0, 0.0, 0.0
+    x, y, z = sums[0] / n, sums[1] / n, sums[2] / n
+    xx, xy, yy = sums[3] / n - x * x, sums[4] / n - x * y, sums[5] / n - y * y
+    xz, yz = sums[6] / n - x * z, sums[7] / n - y * z
+    spread = xx * yy - xy * xy
+    if not spread > 1e-3 * (0.5 * resolution_m) ** 4:  # a single line of heights says nothing of the slope across it
+        return 0.0, 0.0, 0.0
+    rise_east, rise_north = (xz * yy - yz * xy) / spread, (yz * xx - xz * xy) / spread
+    furthest = 0.0
+    for k in range(count):
+        r, c = first_row + stack[k, 0], first_col + stack[k, 1]
+        plane = z + ((c - col) * resolution_m - x) * rise_east + ((row - r) * resolution_m - y) * rise_north
+        furthest = max(furthest, abs(heights[r, c] - plane))
+    return rise_east, rise_north, furthest

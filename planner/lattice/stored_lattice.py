@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.avoid import Polygon, without
 from joulemap.planner.lattice.checksums import damaged
 from joulemap.planner.lattice.chunks import Chunks
-from joulemap.planner.lattice.io import open_group
+from joulemap.planner.lattice.io import OBSTACLES, obstacles_of, open_group
+from joulemap.planner.lattice.obstacles import Obstacles, reach_m
 
 _FILLS: dict[str, float] = {
     "traction_per_m": np.nan,
@@ -45,6 +47,7 @@ class StoredLattice:
             self.provenance: dict[str, Any] = meta["provenance"]
             self._arrays: dict[str, zarr.Array[Any]] = {name: group[name] for name in _FILLS if name in group}  # type: ignore[misc]
             self.headings = int(self._arrays["traction_per_m"].shape[2])
+            self._room = obstacles_of(group)
             self.chunk = int(self._arrays["traction_per_m"].chunks[0])
         except DamagedError:
             raise
@@ -82,21 +85,41 @@ class StoredLattice:
             else:
                 arrays[name] = self.read(of, _FILLS[name], row0, row1, col0, col1)
         placed = self.frame.window(row0, row1, col0, col1)
+        if self._room is not None and (what is None or "blocked" in what):
+            arrays[OBSTACLES] = self._obstacles(self._room, row0, row1, col0, col1)
         lattice = CostLattice(placed, self.robot, provenance=self.provenance, **arrays)
         return without(lattice, self._avoided) if self._avoided and (what is None or "blocked" in what) else lattice
+
+    @property
+    def squares_per_cell(self) -> int:
+        """Squares of obstacles along the side of a cell; 0 where there are none."""
+        return 0 if self._room is None else int(self._room.shape[0]) // self.frame.rows
+
+    def room(self, rows: slice, cols: slice) -> NDArray[np.uint8]:
+        """Return `Obstacles.room` under some cells."""
+        n = self.squares_per_cell
+        return self.read(self._room, 0, rows.start * n, rows.stop * n, cols.start * n, cols.stop * n)  # type: ignore[arg-type]
+
+    def _obstacles(self, room: zarr.Array[Any], row0: int, row1: int, col0: int, col1: int) -> Obstacles | None:
+        """The obstacles that the robot may meet from some cells; what lies beyond the map is one."""
+        margin = math.ceil(reach_m(self.robot) / self.frame.resolution_m) + 2
+        n = self.squares_per_cell
+        around = ((row0 - margin) * n, (row1 + margin) * n, (col0 - margin) * n, (col1 + margin) * n)
+        found = self.read(room, 0, *around)
+        return Obstacles(found, n, margin * n, margin * n) if (found == 0).any() else None
 
     def limits(self, row0: int, row1: int, col0: int, col1: int) -> CostLattice:
         """Return a window with gradients and blocked cells only."""
         return self.window(row0, row1, col0, col1, what=_LIMITS)
 
     def read(self, of: zarr.Array[Any], fill: float, row0: int, row1: int, col0: int, col1: int) -> NDArray[Any]:
-        """Return a window of an array over the cells of this lattice.
+        """Return a window of an array over the cells of this lattice, or of the squares of its obstacles.
 
         `of` (rows, cols, ...): the array, chunked along rows and columns alone.
         """
         high, wide = of.chunks[:2]
         out = np.full((row1 - row0, col1 - col0, *of.shape[2:]), fill, dtype=of.dtype)
-        rows, cols = self.frame.shape
+        rows, cols = of.shape[:2]
         for i in range(max(row0, 0) // high, -(-min(row1, rows) // high)):
             for j in range(max(col0, 0) // wide, -(-min(col1, cols) // wide)):
                 top, down = max(i * high, row0), min((i + 1) * high, row1, rows)

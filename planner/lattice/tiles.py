@@ -18,7 +18,8 @@ TILE_CELLS = 256
 
 _TILE_HEIGHTS = 64_000_000
 _LEAST_CELLS = 16
-_REACH_M = 2.0  # a model reads the square of at most 2 m around a place, turned by any heading
+MODEL_REACH_M = 2.0
+"""A model reads the square of at most 2 m around a place, turned by any heading."""
 _REACH_PIXELS = 4  # and interpolates
 
 
@@ -88,7 +89,8 @@ def ground_of(ground: Ground, cells: GridFrame, robot: Robot) -> Heightmap:
     A model reads the square around a place and what lies under the robot there; limits reach as far as a wheel rolls
     beyond the square.
     """
-    reach = _REACH_M + robot.length_m + robot.width_m + 6.0 * robot.wheel_radius_m
+    reach = MODEL_REACH_M + robot.length_m + robot.width_m + 6.0 * robot.wheel_radius_m
+    reach += 2.0 * robot.clearance_m + abs(robot.centre_ahead_m)
     more = reach / ground.frame.resolution_m + _REACH_PIXELS
     west, south, east, north = cells.bounds
     (row0, row1), (col0, col1) = ground.frame.rowcol([west, east], [north, south])

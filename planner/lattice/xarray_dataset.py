@@ -29,6 +29,7 @@ DIMENSIONS: dict[str, tuple[str, ...]] = {
     "blocked": GRID,
     "std_j": BY_HEADING,
     "energy_per_m": BY_HEADING,
+    "obstacles": ("square_y", "square_x"),
 }
 
 _FLAGS = {
@@ -48,6 +49,11 @@ _ATTRIBUTES: dict[str, dict[str, Any]] = {
         "comment": "rise per metre of its least-squares plane",
     },
     "blocked": {"units": "1", "long_name": "why the cell may not be driven in any heading", **_FLAGS},
+    "obstacles": {
+        "units": "1",
+        "long_name": "squares to the east that are free of obstacles, 0 on an obstacle",
+        "comment": "squares of a whole number to the cell, from the north-west corner of the map",
+    },
     "std_j": {"units": "J", "long_name": "standard deviation of the energy of the 1 m segment centred at the cell"},
     "energy_per_m": {
         "units": "J m-1",

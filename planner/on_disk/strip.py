@@ -6,6 +6,7 @@ What was not read counts as blocked, so no leg can lead there unseen.
 
 from __future__ import annotations
 
+import math
 import mmap
 from contextlib import suppress
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice.obstacles import Obstacles, reach_m
 from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.planner.pricing.integrator import Points
 
@@ -32,6 +34,10 @@ class Strip:
             name: reserved((rows, cols, *more), dtype) for name, (more, dtype) in stored.arrays.items()
         }
         arrays["blocked"][:] = int(Blocked.UNKNOWN)
+        n = stored.squares_per_cell
+        self._reach = math.ceil(reach_m(stored.robot) / stored.frame.resolution_m) + 1 if n else 0
+        if n:  # unread squares are obstacles
+            arrays["obstacles"] = Obstacles(reserved((n * rows, n * cols), np.dtype(np.uint8)), n, growing=True)
         self.lattice = CostLattice(stored.frame, stored.robot, provenance=stored.provenance, **arrays)
 
     @property
@@ -46,6 +52,7 @@ class Strip:
     def read_along(self, points: Points, *, cells: int) -> None:
         """Read what lies near a polyline. `points` (n, 2): fractional (row, col)."""
         wanted = np.zeros_like(self._read)
+        cells += self._reach
         for (row0, col0), (row1, col1) in zip(points[:-1], points[1:], strict=True):
             count = int(max(abs(row1 - row0), abs(col1 - col0)) / min(2 * cells, BLOCK_CELLS)) + 2
             for row, col in np.linspace((row0, col0), (row1, col1), count):
@@ -70,7 +77,15 @@ class Strip:
                 to[i : i + BLOCK_CELLS, j : j + BLOCK_CELLS] = values[
                     i - row : i - row + BLOCK_CELLS, j - col : j - col + BLOCK_CELLS
                 ]
+        if self.lattice.obstacles is not None:
+            for i, j in places * BLOCK_CELLS:
+                part_of = slice(i, min(i + BLOCK_CELLS, row1)), slice(j, min(j + BLOCK_CELLS, col1))
+                self.lattice.obstacles.room[self._squares(part_of)] = self._stored.room(*part_of)
         self._read[tuple(places.T)] = True
+
+    def _squares(self, part: tuple[slice, slice]) -> tuple[slice, slice]:
+        n, (rows, cols) = self._stored.squares_per_cell, part
+        return slice(rows.start * n, rows.stop * n), slice(cols.start * n, cols.stop * n)
 
     @staticmethod
     def _near(place: float, cells: int) -> slice:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from joulemap.model.errors import InputError, PointError
 from joulemap.model.frames import heading_of, heading_vector
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice.obstacles import Closed
 from joulemap.planner.pricing.kernels import (
     heading_memory,
     heading_weights,
@@ -47,7 +48,7 @@ def price_terms(lattice: CostLattice) -> NDArray[np.float64]:
     return np.array([lattice.frame.resolution_m, robot.hotel_per_m, robot.regeneration, *limits, 0.0, 0.0, 0.0])
 
 
-def price_arrays(lattice: CostLattice) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def price_arrays(lattice: CostLattice) -> tuple[NDArray, NDArray, Closed, NDArray]:
     """Return the first arguments of every pricing kernel.
 
     Parameters
@@ -57,11 +58,11 @@ def price_arrays(lattice: CostLattice) -> tuple[NDArray, NDArray, NDArray, NDArr
 
     Returns
     -------
-    tuple of ndarray
-        `traction_per_m` (rows, cols, headings) [J/m], `gradient` (rows, cols, 2), `blocked` (rows, cols), and
+    tuple
+        `traction_per_m` (rows, cols, headings) [J/m], `gradient` (rows, cols, 2), `CostLattice.closed`, and
         `price_terms` (9,).
     """
-    return lattice.traction_per_m, lattice.gradient, lattice.blocked, price_terms(lattice)
+    return lattice.traction_per_m, lattice.gradient, lattice.closed, price_terms(lattice)
 
 
 def margin_cells(lattice: CostLattice) -> float:
@@ -95,7 +96,7 @@ class Prices(NamedTuple):
 
     traction: NDArray[np.float32]
     gradient: NDArray[np.float32]
-    blocked: NDArray[np.uint8]
+    blocked: Closed
     terms: NDArray[np.float64]
     turn_j_per_rad: float
 

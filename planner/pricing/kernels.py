@@ -14,6 +14,8 @@ import math
 import numpy as np
 from numba import njit
 
+from joulemap.planner.lattice.obstacles import MEETS, meets
+
 TOUCH = 1e-9
 """Bilinear weight below which a cell does not count as touched."""
 
@@ -146,7 +148,9 @@ def _corner(traction, gradient, blocked, weights, east, north, limits, i, j):
     tilted = abs(rise_east * north - rise_north * east) > max_cross
     # one exit: with several the compiler does not turn the sum into vector operations, which is ten times slower
     demand = _weighted(weights, traction, i, j)
-    return math.nan if blocked[i, j] != 0 or steep or tilted or demand > max_traction else demand
+    code = blocked.codes[i, j]
+    shut = code != 0 and code != MEETS
+    return math.nan if shut or steep or tilted or demand > max_traction else demand
 
 
 @njit(cache=True)
@@ -156,7 +160,8 @@ def fill_tractions(out, traction, gradient, blocked, terms, directions, weights,
     `out` (H,): is filled [J/m], NaN where the cell may not be driven at a heading; `directions` (H, 2): east and north
     component of each heading; `weights` (H, K): weights of the heading bins at each heading.
     """
-    if blocked[i, j] != 0:
+    code = blocked.codes[i, j]
+    if code != 0 and code != MEETS:
         out[:] = np.nan
         return
     rise_east, rise_north = np.float64(gradient[i, j, 0]), np.float64(gradient[i, j, 1])
@@ -175,7 +180,7 @@ def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
     """Return the energy of the straight leg from (row0, col0) to (row1, col1).
 
     `traction` (rows, cols, K): traction of the lattice [J/m]; `gradient` (rows, cols, 2): rise per metre towards east
-    and north; `blocked` (rows, cols): `Blocked` codes for every heading; `terms` (9,): side of a cell [m], idle energy
+    and north; `blocked`: of `CostLattice.closed`; `terms` (9,): side of a cell [m], idle energy
     per metre [J/m], regeneration, tangents of the greatest grade and cross slope, greatest traction [J/m], the last
     three are those of `driven_leg_energy`. Result: energy [J]; NaN where the leg may not be driven.
     """
@@ -208,12 +213,13 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
     length = math.sqrt(drow * drow + dcol * dcol)
     if length == 0.0:
         i, j = int(round(row0)), int(round(col0))
-        return 0.0 if blocked[min(max(i, 0), rows - 1), min(max(j, 0), cols - 1)] == 0 else math.nan
+        return 0.0 if blocked.codes[min(max(i, 0), rows - 1), min(max(j, 0), cols - 1)] == 0 else math.nan
     per_length = 1.0 / length
     east, north = dcol * per_length, -drow * per_length
     heading_weights(east, north, memory)
     weights = memory[0]
     enough = most * per_length / spacing
+    ends = row0, col0, row1, col1
     # rows and columns are counted in the direction of travel, so that the leg enters squares on their near side
     down, right = 1 if drow >= 0.0 else -1, 1 if dcol >= 0.0 else -1
     row0, col0, drow, dcol = row0 * down, col0 * right, abs(drow), abs(dcol)
@@ -231,7 +237,12 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
     u0, v0 = max(row0 - i, 0.0), max(col0 - j, 0.0)  # place in the square: 0 near, 1 far
     energy = t = 0.0
     t0 = math.nan
+    beside_obstacles = blocked.room.size > 0 and blocked.near.size == 0
+    looked_for = blocked.near.size > 0
     while True:
+        if looked_for:
+            close = blocked.near[near_i, near_j] or blocked.near[far_i, far_j]
+            beside_obstacles = beside_obstacles or close or blocked.near[near_i, far_j] or blocked.near[far_i, near_j]
         t_next = min(next_row, next_col, 1.0)
         u1, v1 = min(row0 + t_next * drow - i, 1.0), min(col0 + t_next * dcol - j, 1.0)
         a00, a01, a10, a11 = c00, c01, c10, c11
@@ -248,6 +259,8 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
             return math.nan
         energy += (t_next - t) * (hotel + mean_response(t0, tm, t1, regeneration))
         if t_next >= 1.0 - same or energy > enough:
+            if beside_obstacles and meets(blocked.room, blocked.body, *ends, east, north, 0.0):
+                return math.nan
             return energy * length * spacing
         over_row, over_col = next_row <= t_next + same, next_col <= t_next + same
         u0, v0 = u1, v1
@@ -307,7 +320,7 @@ def driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, ro
 def leg_energies(traction, gradient, blocked, terms, legs):
     """Return the energies of many straight legs.
 
-    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked` (rows, cols): `Blocked` codes;
+    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked`: of `CostLattice.closed`;
     `terms` (9,): terms of the price; `legs` (n, 4): row0, col0, row1, col1 of each. Result (n,): energy [J]; NaN where
     a leg may not be driven.
 
@@ -335,7 +348,7 @@ def leg_energies(traction, gradient, blocked, terms, legs):
 def polyline_energies(traction, gradient, blocked, terms, points):
     """Return the energies of the legs of a polyline, without turns.
 
-    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked` (rows, cols): `Blocked` codes;
+    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked`: of `CostLattice.closed`;
     `terms` (9,): terms of the price, and of how a leg is driven; `points` (n, 2): (row, col) polyline. Result (n - 1,):
     energy [J]; NaN where a leg may not be driven.
     """
@@ -364,7 +377,7 @@ def turn_angle(row0, col0, row1, col1, row2, col2):
 def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
     """Return the energy of a polyline with its turns.
 
-    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked` (rows, cols): `Blocked` codes;
+    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked`: of `CostLattice.closed`;
     `terms` (9,): terms of the price; `points` (n, 2): (row, col) polyline. Result: energy [J]; NaN where a leg may not
     be driven.
     """

@@ -12,6 +12,7 @@ from joulemap.model.errors import InputError
 from joulemap.model.frames import heading_of, heading_vector
 from joulemap.model.threads import share_out
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice.obstacles import MEETS, close_moves
 from joulemap.planner.pricing.integrator import interpolation_matrix
 from joulemap.planner.pricing.kernels import mean_response
 from joulemap.planner.pricing.potential import parts_of
@@ -89,7 +90,7 @@ class MovePrices:
         self, part: CostLattice, traction: NDArray[np.float32], matrix: NDArray[np.float32], hotel_per_m: float
     ) -> NDArray[np.float32]:
         grade, cross = part.max_tangents
-        return _energies(
+        energy = _energies(
             _at_moves(
                 traction,
                 part.gradient,
@@ -108,6 +109,9 @@ class MovePrices:
             *self._stencils,
             *self._pieces,
         )
+        if part.obstacles is not None:
+            close_moves(part.closed, self.offsets, energy)
+        return energy
 
 
 @njit(cache=True, nogil=True)
@@ -122,7 +126,7 @@ def _at_moves(traction, gradient, blocked, matrix, east, north, max_grade, max_c
         for j in range(cols):
             for k in range(bins):
                 by_bin[k, j] = traction[i, j, k]
-            free = blocked[i, j] == 0
+            free = blocked[i, j] == 0 or blocked[i, j] == MEETS
             steep_east[j] = gradient[i, j, 0] if free else np.nan
             steep_north[j] = gradient[i, j, 1] if free else np.nan
         for n in range(moves):

@@ -42,6 +42,7 @@ from joulemap.planner.grid.heuristics import energy_bounds, guide_towards
 from joulemap.planner.grid.search import joining_legs
 from joulemap.planner.grid.states import new_search, run_search
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice.obstacles import MEETS
 from joulemap.planner.pricing.integrator import Points, interpolation_matrix, price_terms
 from joulemap.planner.pricing.move_prices import move_offsets
 from joulemap.planner.pricing.moves import MoveTable, table_of
@@ -220,7 +221,7 @@ def _bound_squares(traction, gradient, blocked, middles, terms, square, along, l
         east[s], north[s] = math.sin((s + 0.5) * _STEP), math.cos((s + 0.5) * _STEP)
     for i in range(rows):
         for j in range(nodes):
-            if blocked[i, j] != 0:
+            if blocked[i, j] != 0 and blocked[i, j] != MEETS:
                 continue
             bend = 0.0
             for n in range(orders):

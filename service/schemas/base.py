@@ -216,6 +216,8 @@ _ROBOT_WORDS = {
     "regeneration": "share of the energy released downhill that returns to the battery, 0..0.99",
     "turn_j_per_rad": "energy of turning, per radian [J/rad]",
     "tracking_std_m": "standard deviation of how far beside its path the robot drives [m]; 0: paths keep no margin",
+    "clearance_m": "least distance between the robot's outline and every obstacle [m]",
+    "centre_ahead_m": "how far the middle of its outline lies ahead of the point that follows the route [m]",
     "gravity_mps2": "gravity where it drives [m/s2]; 1.62 on the Moon, 3.71 on Mars",
 }
 _KIND: dict[str, Any] = {f.name: str if f.name == "name" else float for f in fields(Robot)}

@@ -22,7 +22,7 @@ from joulemap.model.errors import NegativeCycleError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.readers import open_ground
 from joulemap.planner.figures import figures_of, joined_figures
-from joulemap.planner.lattice.build import build_tile, knows_spread, provenance_of
+from joulemap.planner.lattice.build import build_tile, knows_spread, provenance_of, squares_of
 from joulemap.planner.lattice.io import LatticeFolder
 from joulemap.service.cost_lattices import prepare_build
 from joulemap.service.work.stored_base import with_stored_base
@@ -123,7 +123,8 @@ def lay_out(order: MapOrder) -> tuple[int, list[int]]:
     if not (order.notes / _LAYOUT).exists():
         std = knows_spread(tiles.source, tiles.robot)
         with _unless_deleted(order):
-            order.folder.lay_out(tiles.tiling, tiles.robot, with_std=std, again=False)
+            squares = squares_of(tiles.tiling, tiles.ground.frame.resolution_m, tiles.robot)
+            order.folder.lay_out(tiles.tiling, tiles.robot, with_std=std, squares=squares, again=False)
             _write(order.notes / _LAYOUT, {})
     count = len(tiles.tiling)
     return count, [number for number in range(count) if not _note(order, number).exists()]

@@ -15,8 +15,11 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.lattice.io import export_npz, load_lattice, save_lattice
+from joulemap.planner.pricing.integrator import leg_prices
 
 ROBOT = Robot(max_grade_deg=20.0, max_cross_slope_deg=15.0)
+ACROSS_10_M, ALONG_8_M = np.array([[10.0, 7.0], [10.0, 13.0]]), np.array([[4.0, 7.5], [15.0, 7.5]])
+"""Legs (row, col) from x = 7.5 to 13.5 m, and along x = 8 m."""
 
 
 def surface(function, *, metres=20, resolution_m=0.25) -> Heightmap:
@@ -67,7 +70,11 @@ def test_a_step_higher_than_the_wheel_radius_blocks_and_a_lower_one_does_not():
                     resolution_m=resolution_m,
                 )
                 lattice = build_lattice(kerb, ROBOT, PhysicsPredictor())
-                assert (lattice.blocked[:, 10] == (Blocked.STEP if blocked else Blocked.FREE)).all()
+                across, along = (np.isnan(leg_prices(lattice, leg)) for leg in (ACROSS_10_M, ALONG_8_M))
+                assert across[0] == blocked
+                assert not along[0]
+                if edge_m == 10.3:  # under the cells whose middle is at 10.5 m
+                    assert (lattice.blocked[:, 10] == (Blocked.OBSTACLE if blocked else Blocked.FREE)).all()
                 assert (lattice.blocked[:, [*range(9), *range(12, 20)]] == Blocked.FREE).all()
 
 
@@ -75,7 +82,7 @@ def test_a_steep_slope_is_not_a_step_and_a_thin_wall_is():
     slope = build_lattice(surface(lambda x, y: 0.8 * np.abs(x - 10.0), resolution_m=0.1), ROBOT, PhysicsPredictor())
     assert (slope.blocked == Blocked.FREE).all()  # its grade is judged by heading
     wall = surface(lambda x, y: np.where(np.abs(x - 10.25) < 0.05, 0.3, 0.0), resolution_m=0.1)
-    assert (build_lattice(wall, ROBOT, PhysicsPredictor()).blocked[:, 10] == Blocked.STEP).all()
+    assert (build_lattice(wall, ROBOT, PhysicsPredictor()).blocked[:, 10] == Blocked.OBSTACLE).all()
 
 
 def test_a_post_is_a_step_on_a_coarse_map_too_and_a_gentle_mound_is_not():
