@@ -108,9 +108,7 @@ class BlockedOut(ResponseModel):
     free: float = Field(description="not blocked")
     outside: float = Field(description="the square metre around the cell leaves the heightmap")
     unknown: float = Field(description="a height in this square is unknown")
-    step: float = Field(
-        description="a boulder or a hole: the ground departs from a plane by more than a wheel diameter"
-    )
+    step: float = Field(description="a boulder or a hole: ground that departs from a plane by a wheel's diameter")
     obstacle: float = Field(default=0.0, description="the robot's outline meets a height jump above the wheel radius")
     grade: float = Field(description="steeper along the motion than max_grade_deg")
     cross_slope: float = Field(description="steeper across the motion than max_cross_slope_deg")
