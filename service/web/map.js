@@ -113,7 +113,7 @@ function latLon([x, y]) {
 /** Why nothing can be driven at a place, in words. */
 export function reasonWords(reason) {
   const { wheel_radius_m: radius, max_grade_deg: grade, max_cross_slope_deg: side } = now.costmap.robot;
-  return { outside: "too near the edge of the map", unknown: "height unknown", step: `a step higher than the wheel radius of ${radius} m`, grade: `steeper than ${grade}°, the robot's limit`, cross_slope: `side slope above ${side}°, the robot's limit`, power: "more power than allowed", avoid: "area to avoid", obstacle: "the robot would stand on a step" }[reason] ?? reason;
+  return { outside: "too near the edge of the map", unknown: "height unknown", step: `a step higher than the wheel radius of ${radius} m`, grade: `steeper than ${grade}°, the robot's limit`, cross_slope: `side slope above ${side}°, the robot's limit`, power: "more power than allowed", avoid: "area to avoid", obstacle: "a step under the outline of the robot" }[reason] ?? reason;
 }
 
 /** A warning of the service, as far as it is one of the ground; `pieces` are those of a route that it may concern. */

@@ -21,10 +21,8 @@ def hall() -> Heightmap:
     return Heightmap(heights, GridFrame(0.0, 8.0, 0.05, 160, 160))
 
 
-@pytest.mark.parametrize(
-    ("robot", "passes"), [({"width_m": 0.4}, True), ({"width_m": 0.4, "clearance_m": 0.25}, False)]
-)
-def test_from_a_robot_file_to_a_route_on_the_command_line(tmp_path, robot, passes):
+@pytest.mark.parametrize(("clearance_m", "passes"), [(0.0, True), (0.25, False)])
+def test_from_a_robot_file_to_a_route_on_the_command_line(tmp_path, clearance_m, passes):
     write_geotiff(tmp_path / "hall.tif", hall())
     (tmp_path / "robot.toml").write_text(f"width_m = 0.4\nclearance_m = {clearance_m}\n")
     made = ["costmap", tmp_path / "hall.tif", "--model", "physics", "--robot", tmp_path / "robot.toml"]
