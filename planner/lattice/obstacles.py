@@ -20,6 +20,8 @@ from joulemap.model.robot import Robot
 
 MEETS = 8
 """`Blocked.OBSTACLE`: the one code of a cell that closes no leg by itself: the leg's own rectangle is judged."""
+_LONGEST_MOVE_CELLS = 5
+"""A grid move of three rows and three columns, and what is left of the cell in which it begins."""
 _TOUCHING = 1e-6
 """Part of a square [squares] by which the rectangle is smaller, so that what only touches it does not stop it."""
 
@@ -145,7 +147,7 @@ class Obstacles:
         ndarray of bool, (rows, cols)
             More cells than needed, never fewer.
         """
-        n, margin = self.per_cell, math.ceil(reach_cells) + 2
+        n, margin = self.per_cell, math.ceil(reach_cells) + _LONGEST_MOVE_CELLS
         found = np.ones((shape[0] + 2 * margin, shape[1] + 2 * margin), dtype=np.bool_)
         row0, col0 = margin - self.row // n, margin - self.col // n  # of the first whole cell that is known
         rows, cols = self.room.shape[0] // n, self.room.shape[1] // n
