@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from joulemap.model.errors import InputError, PointError
+from joulemap.model.errors import HeightmapError, InputError, PointError
 from joulemap.model.frames import GridFrame
 
 if TYPE_CHECKING:
@@ -184,14 +184,14 @@ def _transformer(crs: str, towards_wgs84: bool) -> Transformer:
 
 @lru_cache(maxsize=64)
 def _transformer_of(crs: str, towards_wgs84: bool, _thread: int) -> Transformer:
-    from pyproj import CRS, Transformer  # commands that need no degrees do not wait for it
-    from pyproj.exceptions import CRSError, ProjError
+    from pyproj.exceptions import ProjError  # commands that need no degrees do not wait for it
+
+    from joulemap.model.terrain.crs_text import proj_crs, transformer
 
     try:
-        own, earth = CRS.from_user_input(crs).to_2d(), CRS.from_epsg(4326)
-        ends = (own, earth) if towards_wgs84 else (earth, own)
-        return Transformer.from_crs(*ends, always_xy=True)
-    except (CRSError, ProjError) as error:
+        own, earth = proj_crs(crs).to_2d(), "EPSG:4326"
+        return transformer(own, earth) if towards_wgs84 else transformer(earth, own)
+    except (HeightmapError, ProjError) as error:
         raise InputError(
             f"the map's coordinate system {_short(crs)} has no known place on Earth: {str(error)[:200]}"
         ) from error

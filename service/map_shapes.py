@@ -9,9 +9,10 @@ import numpy as np
 from contourpy import contour_generator
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
-from pyproj import Transformer
 
+from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.terrain.crs_text import transformer
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.service.raster_shading import Image, centres, thinned
@@ -77,8 +78,8 @@ def lat_lon(frame: GridFrame) -> list[list[list[float]]] | None:
     west, south, east, north = frame.bounds
     x, y = np.meshgrid([west, (west + east) / 2, east], [north, (south + north) / 2, south])
     try:
-        lon, lat = Transformer.from_crs(frame.crs, "EPSG:4326", always_xy=True).transform(x, y)
-    except (RuntimeError, ValueError):  # pyproj's errors: a local CRS has no place on Earth
+        lon, lat = transformer(frame.crs, "EPSG:4326").transform(x, y)
+    except (HeightmapError, RuntimeError, ValueError):  # pyproj's errors: a local CRS has no place on Earth
         return None
     places = np.stack([lat, lon], axis=-1)
     return places.tolist() if np.isfinite(places).all() else None

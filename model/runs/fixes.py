@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from joulemap.model.errors import RunsError
+from joulemap.model.errors import HeightmapError, RunsError
 from joulemap.model.runs.table import LEAST_ROWS, add_count, columns_there
 
 if TYPE_CHECKING:
@@ -80,11 +80,12 @@ def projected(lat: FloatArray, lon: FloatArray, crs: str) -> tuple[FloatArray, F
 
     `lat`, `lon` (n,): WGS 84 [deg]. Result (n,): x, y [m], NaN for a position that the CRS cannot express.
     """
-    from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
+    from joulemap.model.terrain.crs_text import transformer
+
     try:
-        x, y = Transformer.from_crs("EPSG:4326", _crs(crs), always_xy=True).transform(lon, lat)
+        x, y = transformer("EPSG:4326", _crs(crs)).transform(lon, lat)
     except ProjError as error:
         raise RunsError(
             f"latitudes and longitudes cannot be projected to the CRS {crs[:80]!r}: {str(error)[:200]}", crs=crs[:80]
@@ -94,13 +95,12 @@ def projected(lat: FloatArray, lon: FloatArray, crs: str) -> tuple[FloatArray, F
 
 
 def _crs(crs: str) -> CRS:
-    from pyproj import CRS
-    from pyproj.exceptions import CRSError
+    from joulemap.model.terrain.crs_text import proj_crs
 
     try:
-        return CRS.from_user_input(crs)
-    except CRSError as error:
-        raise RunsError(f"the CRS {crs[:80]!r} is not known: {str(error)[:200]}", crs=crs[:80]) from error
+        return proj_crs(crs)
+    except HeightmapError as error:
+        raise RunsError(str(error), crs=crs[:80]) from error
 
 
 def _belongs_to(lat: FloatArray, lon: FloatArray, crs: str) -> bool:

@@ -12,12 +12,12 @@ from rasterio import warp
 from rasterio.crs import CRS
 
 from joulemap.model.errors import HeightmapError
+from joulemap.model.terrain.crs_text import known_crs, proj_crs, transformer
 from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS, is_gdal_error
 
 Bounds = tuple[float, float, float, float]
 """West, south, east, north, in the units of the CRS."""
 
-_CRS_TEXT = re.compile(r"\s*(?:[A-Za-z]+(?:_\d+)?:\d{1,9}\s*$|[A-Za-z_]+\[)")
 _PROJECTION = re.compile(r'PROJECTION\["([^"]+)"')
 _MERCATOR = ("mercator_1sp", "mercator_2sp", "mercator_auxiliary_sphere", "popular_visualisation_pseudo_mercator")
 _UTM_LATITUDES = (-80.0, 84.0)
@@ -74,31 +74,12 @@ def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: b
     return name
 
 
-def known_crs(crs: CRS | str) -> CRS:
-    """Return a CRS by its name, whatever its unit."""
-    if not isinstance(crs, str):
-        return crs
-    try:
-        if not _CRS_TEXT.match(crs):  # GDAL would also take file names and addresses
-            raise ValueError(crs)
-        with rasterio.Env(**GDAL_OPTIONS):
-            return CRS.from_string(crs)
-    except Exception as error:
-        if not (is_gdal_error(error) or isinstance(error, (ValueError, OverflowError))):
-            raise
-        raise HeightmapError(
-            f"the coordinate reference system {crs[:80]!r} is not known: give EPSG:n or its WKT", crs=crs[:80]
-        ) from error
-
-
 def geographic(crs: CRS | str) -> str:
     """Return the longitudes and latitudes of the body that a CRS lies on.
 
     Result: "EPSG:4326" on the Earth, else the geographic CRS in WKT that `crs` is based on.
     """
-    from pyproj import CRS as ProjCRS
-
-    known = ProjCRS.from_wkt(known_crs(crs).to_wkt())
+    known = proj_crs(crs)
     if known.ellipsoid is None or known.geodetic_crs is None or on_earth(crs):
         return "EPSG:4326"
     return str(known.geodetic_crs.to_wkt())
@@ -106,17 +87,13 @@ def geographic(crs: CRS | str) -> str:
 
 def on_earth(crs: CRS | str) -> bool:
     """Decide whether a CRS lies on the Earth, by the size of its ellipsoid. Result: True also where it names none."""
-    from pyproj import CRS as ProjCRS
-
-    body = ProjCRS.from_wkt(known_crs(crs).to_wkt()).ellipsoid
+    body = proj_crs(crs).ellipsoid
     return body is None or abs(body.semi_major_metre / _EARTH_M - 1.0) < _SAME_BODY
 
 
 def flat_crs(wkt: str) -> str:
     """Return the part of a CRS that says where on the ground a place is."""
-    from pyproj import CRS as ProjCRS
-
-    crs = ProjCRS.from_wkt(wkt)
+    crs = proj_crs(wkt)
     return wkt if len(crs.axis_info) < 3 else str(crs.to_2d().to_wkt("WKT1_GDAL"))
 
 
@@ -131,7 +108,7 @@ def scale_errors(crs: str, longitude: ArrayLike, latitude: ArrayLike) -> NDArray
 
     lon, lat = np.atleast_1d(longitude), np.atleast_1d(latitude)
     try:
-        factors = Proj(crs).get_factors(lon, lat, errcheck=True)
+        factors = Proj(proj_crs(crs)).get_factors(lon, lat, errcheck=True)
     except ProjError:
         return np.zeros(2 * lon.size)
     return np.concatenate([np.atleast_1d(factors.meridional_scale), np.atleast_1d(factors.parallel_scale)]) - 1.0
@@ -139,12 +116,10 @@ def scale_errors(crs: str, longitude: ArrayLike, latitude: ArrayLike) -> NDArray
 
 def _check_projection(wkt: str, short: str) -> None:
     """Refuse parameters that no projection can have, such as a latitude of 999; GDAL finds them only as it is used."""
-    from pyproj import CRS as ProjCRS
-    from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
     try:
-        Transformer.from_crs(geographic(wkt), ProjCRS.from_wkt(wkt), always_xy=True)
+        transformer(geographic(wkt), wkt)
     except ProjError as error:
         raise HeightmapError(
             f"the coordinate reference system cannot be used ({short}): {str(error)[:200]}", crs=short

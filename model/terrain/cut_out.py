@@ -12,7 +12,7 @@ from rasterio.transform import Affine
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
-from joulemap.model.terrain.coordinate_systems import known_crs
+from joulemap.model.terrain.crs_text import known_crs
 from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.formats.contract import WindowReader
 from joulemap.model.terrain.target_grid import moved

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from joulemap.model.frames import GridFrame
-from joulemap.model.terrain.coordinate_systems import geographic, known_crs, on_earth, scale_errors
+from joulemap.model.terrain.coordinate_systems import geographic, on_earth, scale_errors
+from joulemap.model.terrain.crs_text import known_crs, transformer
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.windows import Ground, overview
 
@@ -48,10 +49,8 @@ def heightmap_warnings(ground: Ground) -> list[str]:
     crs = known_crs(frame.crs)
     if not crs.is_projected:
         return found
-    from pyproj import Transformer
-
     west, south, east, north = frame.bounds
-    move = Transformer.from_crs(crs.to_wkt(), geographic(crs), always_xy=True)
+    move = transformer(crs, geographic(crs))
     lon, lat = move.transform((west + east) / 2, (south + north) / 2)
     if math.isfinite(lon) and math.isfinite(lat):
         errors = scale_errors(frame.crs, lon, lat)

@@ -23,7 +23,7 @@ from rasterio.windows import Window
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.source_file import SourceFile
-from joulemap.model.terrain.coordinate_systems import known_crs
+from joulemap.model.terrain.crs_text import known_crs
 from joulemap.model.terrain.cut_out import WindowLike, cells_of
 from joulemap.model.terrain.decoded import Scaling, check_cells
 from joulemap.model.terrain.formats import raster as rasters
@@ -217,7 +217,7 @@ def reproject_file(
 
 def _usable(crs: str | None) -> CRS:
     """A map without a CRS is resampled in its own plane; which CRS GDAL then gets makes no difference."""
-    return known_crs(crs) if crs is not None else CRS.from_epsg(32630)
+    return known_crs(crs if crs is not None else "EPSG:32630")
 
 
 def _unit_m(crs: str) -> float:

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.crs import CRS
 from rasterio.transform import Affine
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.ranges import RESOLUTION_M
-from joulemap.model.terrain.coordinate_systems import crs_name, geographic, known_crs, on_earth, scale_errors, utm_zone
+from joulemap.model.terrain.coordinate_systems import crs_name, geographic, on_earth, scale_errors, utm_zone
+from joulemap.model.terrain.crs_text import known_crs, proj_crs, transformer
 
 FloatArray = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def choose_crs(crs: str | None, transform: Affine, rows: int, cols: int, to: str
         here = f", which stretches lengths by {100 * error:.2f} % here" if abs(error) > _SAID_SCALE_ERROR else ""
         return zone, f" (UTM zone {int(zone[-2:])}{'N' if zone[5:8] == '326' else 'S'}{here})"
     pole = 90 if lat[0] > 0 else -90
-    wkt = CRS.from_string(
+    wkt = known_crs(
         f"+proj=stere +lat_0={pole} +lat_ts={lat[0]:.4f} +lon_0={lon[0]:.4f} +datum=WGS84 +units=m +no_defs"
     ).to_wkt()
     return wkt, " (polar stereographic, true to scale at this latitude)"
@@ -63,12 +63,10 @@ def choose_crs(crs: str | None, transform: Affine, rows: int, cols: int, to: str
 
 def _local_plane(body: str, lon: float, lat: float) -> str:
     """A transverse Mercator projection of another body, through a place on it."""
-    from pyproj import CRS as ProjCRS
-
-    shape = ProjCRS.from_wkt(body).ellipsoid
+    shape = proj_crs(body).ellipsoid
     assert shape is not None
     size = f"+a={shape.semi_major_metre} +b={shape.semi_minor_metre}"
-    return str(CRS.from_string(f"+proj=tmerc +lat_0={lat:.4f} +lon_0={lon:.4f} +k=1 {size} +units=m +no_defs").to_wkt())
+    return str(known_crs(f"+proj=tmerc +lat_0={lat:.4f} +lon_0={lon:.4f} +k=1 {size} +units=m +no_defs").to_wkt())
 
 
 def new_grid(
@@ -107,9 +105,7 @@ def _check_spread(target: str | None, x: FloatArray, y: FloatArray) -> None:
     """Refuse a map of which parts are stretched otherwise than others."""
     if target is None:
         return
-    from pyproj import Transformer
-
-    lon, lat = Transformer.from_crs(target, geographic(target), always_xy=True).transform(x, y)
+    lon, lat = transformer(target, geographic(target)).transform(x, y)
     errors = scale_errors(target, lon, lat)
     if errors.size and float(errors.max() - errors.min()) > _MOST_SPREAD:
         raise HeightmapError(
@@ -131,12 +127,10 @@ def moved(
     y = transform.d * col + transform.e * row + transform.f
     if crs is None or target is None:
         return x, y
-    from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
     try:
-        way = Transformer.from_crs(known_crs(crs).to_wkt(), known_crs(target).to_wkt(), always_xy=True)
-        found = way.transform(x, y)
+        found = transformer(crs, target).transform(x, y)
     except ProjError as error:
         raise HeightmapError(
             f"a map in {short_name(crs)} cannot be reprojected to {short_name(target)}: {str(error)[:200]}",

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 from joulemap.model.errors import HeightmapError
+from joulemap.model.terrain.crs_text import proj_crs
 
 _SURVEY_FOOT_M = 1200 / 3937
 _METRES: dict[str, float] = {
@@ -53,9 +54,7 @@ def height_unit(text: str | None, crs: str | None, what: str, *, or_horizontal: 
         return HeightUnit(note=f"the unit of the heights is called {text[:40]!r}; they were taken for metres")  # type: ignore[index]
     if crs is None:
         return HeightUnit()
-    from pyproj import CRS
-
-    parsed = CRS.from_user_input(crs)
+    parsed = proj_crs(crs)
     parts = [part for part in parsed.sub_crs_list if part.is_vertical]
     axes = parts[0].axis_info if parts else [axis for axis in parsed.axis_info if axis.direction == "up"]
     if not axes and or_horizontal and parsed.is_projected:

@@ -166,12 +166,12 @@ def lattice_dataset(lattice: CostLattice) -> xarray.Dataset:
 
 def _crs_attributes(frame: GridFrame) -> dict[str, Any]:
     """The CRS as WKT, as readers of CF want it, and where the grid lies as GDAL says it."""
-    from rasterio.crs import CRS
-    from rasterio.errors import CRSError
+    from joulemap.model.errors import HeightmapError
+    from joulemap.model.terrain.crs_text import known_crs
 
     try:
-        wkt = CRS.from_user_input(frame.crs).to_wkt()
-    except CRSError:  # a text that PROJ does not know says more than nothing
+        wkt = known_crs(frame.crs).to_wkt()
+    except HeightmapError:  # a text that PROJ does not know says more than nothing
         wkt = str(frame.crs)
     step = frame.resolution_m
     return {"crs_wkt": wkt, "GeoTransform": f"{frame.west_m!r} {step!r} 0.0 {frame.north_m!r} 0.0 {-step!r}"}

@@ -142,10 +142,11 @@ def _formats(_: Any) -> list[Finding]:
 
 def _proj() -> str:
     import pyproj
-    from pyproj import Transformer
+
+    from joulemap.model.terrain.crs_text import transformer
 
     # Malaga in UTM zone 30N: finds a PROJ whose database is not there
-    x, _ = Transformer.from_crs("EPSG:4326", "EPSG:32630", always_xy=True).transform(-4.49, 36.72)
+    x, _ = transformer("EPSG:4326", "EPSG:32630").transform(-4.49, 36.72)
     if not 360_000.0 < x < 370_000.0:
         raise RuntimeError(f"PROJ {pyproj.proj_version_str} transforms coordinates wrongly: x {x}")
     return pyproj.proj_version_str

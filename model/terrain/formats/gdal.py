@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from io import BytesIO
 from pathlib import PurePosixPath
 from uuid import uuid4
 
@@ -45,6 +46,11 @@ _FUNCTION = re.compile(r"\b(TIFF|GTiff|JPEG|PNG|HFA|VSI|CPL|GDAL|OGR)\w*:\s*")
 """Names of functions inside GDAL, which its messages begin with."""
 
 
+_GRIDS = (b"grids=", b"proj4_grids", b"parameterfile")
+_NO_GRID = re.compile(rb"grids=(?:@null\b|\s|$)")
+_PIECE_BYTES = 1 << 24
+
+
 def is_gdal_error(error: Exception) -> bool:
     """Decide whether an exception is a failure of GDAL or PROJ.
 
@@ -60,6 +66,8 @@ def is_gdal_error(error: Exception) -> bool:
 def opened(source: SourceFile, drivers: Sequence[str], *, what: str, part: str = "") -> Iterator[DatasetReader]:
     """Open a dataset with some drivers alone."""
     beside = not source.alone and not isinstance(source.place, bytes)
+    if not beside:
+        _check_grids(source, what)
     options = GDAL_OPTIONS | (_WITH_SIDE_FILES if beside or source.beside else {})
     with warnings.catch_warnings(), rasterio.Env(**options), ExitStack() as stack:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -86,6 +94,22 @@ def opened(source: SourceFile, drivers: Sequence[str], *, what: str, part: str =
                 ) from error
             words = re.sub(r"'?/vsimem/\S*/", "", _FUNCTION.sub("", str(cause)))[:300]
             raise HeightmapError(f"{what} is truncated or corrupt: {words}") from error
+
+
+def _check_grids(source: SourceFile, what: str) -> None:
+    """Refuse a sent file whose CRS names a file: GDAL opens that one already as it opens a GeoTIFF of Esri's."""
+    longest = len(_GRIDS[-1])
+    for stream in (source.open(), *(BytesIO(content) for _, content in source.beside)):
+        with stream:
+            end = b""
+            while piece := stream.read(_PIECE_BYTES):
+                text = end + piece.lower()
+                text, end = _NO_GRID.sub(b"", text), text[-longest:]
+                if any(word in text for word in _GRIDS):
+                    raise HeightmapError(
+                        f"{what} names a file of grid shifts in its coordinate reference system, which is not opened: "
+                        "save it with EPSG:n"
+                    )
 
 
 def _plain(name: str) -> str:

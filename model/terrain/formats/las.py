@@ -9,6 +9,7 @@ import numpy as np
 
 from joulemap.model.errors import HeightmapError, JoulemapError
 from joulemap.model.source_file import SourceFile
+from joulemap.model.terrain.crs_text import proj_crs
 from joulemap.model.terrain.decoded import Decoded, Scaling
 from joulemap.model.terrain.point_grid import PointGrid
 from joulemap.model.terrain.units import HeightUnit, height_unit
@@ -128,9 +129,10 @@ def _check_chunks(source: SourceFile, stream: BinaryIO, head: bytes) -> None:
 
 def _crs(header: Any) -> tuple[str | None, str | None]:
     """The horizontal CRS, if the file names one, and all of it."""
-    crs = header.parse_crs()
-    if crs is None:
+    written = header.parse_crs()
+    if written is None:
         return None, None
+    crs = proj_crs(written)
     flat = crs.to_2d()
     code = flat.to_epsg()
     return f"EPSG:{code}" if code else str(flat.to_wkt("WKT1_GDAL")), str(crs.to_wkt())
