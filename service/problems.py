@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import errno
 import math
+import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from itertools import islice
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +35,7 @@ MAX_ERRORS = 20
 """Most items of a list, and most invalid fields, that a problem names."""
 _RETRY_S = 5.0  # a database that restarts
 _MAX_ITEMS = 200
+_PLACE = re.compile(r"(?<![\w./-])/+([\w.-]+)/(?:[^\s/'\",;:()\[\]{}<>]+/+)*([^\s/'\",;:()\[\]{}<>]*)")
 
 
 class Row(NamedTuple):
@@ -94,7 +98,7 @@ def jsonable(value: Any, *, depth: int = 6) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     if isinstance(value, str):
-        text = value.encode("utf-8", "replace").decode("utf-8")
+        text = without_places(value.encode("utf-8", "replace").decode("utf-8"))
         return text if len(text) <= _MAX_TEXT else text[:_MAX_TEXT] + "..."
     if depth > 0 and isinstance(value, Mapping):
         first = islice(value.items(), _MAX_ITEMS)
@@ -103,7 +107,18 @@ def jsonable(value: Any, *, depth: int = 6) -> Any:
     if depth > 0 and isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, (bytes, bytearray)):
         items = [jsonable(item, depth=depth - 1) for item in list(value)[:MAX_ERRORS]]
         return [*items, f"... {len(value)} in all"] if len(value) > MAX_ERRORS else items
-    return repr(value)[:_MAX_TEXT]
+    return without_places(repr(value))[:_MAX_TEXT]
+
+
+def without_places(text: str) -> str:
+    """Return a text in which each path of this machine is its last part alone."""
+    return _PLACE.sub(lambda found: found[2] if found[1] in _top_folders() else found[0], text)
+
+
+@cache
+def _top_folders() -> frozenset[str]:
+    """The folders at the root of this machine, and those that GDAL has in memory: `/v1/costmaps` begins with none."""
+    return frozenset({each.name for each in Path("/").iterdir() if each.is_dir()} | {"vsimem", "vsizip", "vsigzip"})
 
 
 def problem(

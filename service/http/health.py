@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from joulemap.model.errors import JoulemapError
+from joulemap.service.problems import without_places
 
 Look = Callable[[], object]
 """Returns where all is well; raises a JoulemapError or an OSError, whose words say what is wrong, where it is not."""
@@ -69,11 +70,11 @@ class _Repeated:
         try:
             self._look()
         except JoulemapError as error:
-            return error.message
+            return without_places(error.message)
         except OSError as error:
-            return f"{error.strerror or error}"
+            return without_places(f"{error.strerror or error}")
         except Exception as error:  # a check that is broken has failed; its words are for the log and the probe
-            return f"{type(error).__name__}: {error}"[:300]
+            return without_places(f"{type(error).__name__}: {error}"[:300])
         return OK
 
     def result(self) -> str:
