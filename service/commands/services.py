@@ -43,11 +43,13 @@ def serve(
     from joulemap.service.http.app import create_app
     from joulemap.service.http.connections import most_connections
     from joulemap.service.http.logs import log_config
+    from joulemap.service.storage.columns import check_pages
     from joulemap.service.storage.private import others_get_nothing
 
     settings = writable(settings_of(host=host, port=port, data_dir=data_dir))
-    with opened_store(settings):  # what is wrong with the database is said here, and not by the server
-        pass
+    with opened_store(settings) as store:  # what is wrong with the database is said here, and not by the server
+        if store.engine.dialect.name == "sqlite":
+            check_pages(store.engine)
     others_get_nothing()
     sys.setswitchinterval(_SWITCH_S)
     settings = settings.model_copy(update={"max_connections": most_connections(settings.max_connections)})

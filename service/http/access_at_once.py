@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import ipaddress
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 
+import anyio
 from sse_starlette import EventSourceResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -19,6 +20,7 @@ from joulemap.service.problems import problem_of
 PROBE_PATHS = (*HEALTH_PATHS, "/metrics")
 """They are answered at once and whole, so that they need no limit."""
 _RETRY_S = 5.0
+_LOOK_S = 2.0  # between looks whether the key of a stream was revoked
 
 
 class AtOnce:
@@ -92,7 +94,7 @@ class Admission:
 
 
 class EventStream(EventSourceResponse):
-    """Server-sent events; answers 429 where the address or the key has too many such streams."""
+    """Server-sent events, as long as the key is valid; 429 where the address or the key has too many such streams."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the events."""
@@ -101,7 +103,17 @@ class EventStream(EventSourceResponse):
             stack.enter_context(streams.one_of(address_of(scope)))
             if (name := scope["state"]["caller"].name) is not None:
                 stack.enter_context(streams.one_of(f"key {name}"))
-            await super().__call__(scope, receive, send)
+            async with anyio.create_task_group() as group:
+                group.start_soon(_end_when_revoked, scope["state"].get("still_valid"), group.cancel_scope)
+                await super().__call__(scope, receive, send)
+                group.cancel_scope.cancel()
+
+
+async def _end_when_revoked(still_valid: Callable[[], Awaitable[bool]] | None, stream: anyio.CancelScope) -> None:
+    while still_valid is not None and await still_valid():
+        await anyio.sleep(_LOOK_S)
+    if still_valid is not None:
+        stream.cancel()
 
 
 def address_of(scope: Scope) -> str:

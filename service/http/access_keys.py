@@ -7,13 +7,14 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 
 import anyio
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from joulemap.model.errors import ForbiddenError, JoulemapError, UnauthorizedError
+from joulemap.model.errors import BusyError, ForbiddenError, JoulemapError, UnauthorizedError
 from joulemap.service.http.access_at_once import PROBE_PATHS, AtOnce
 from joulemap.service.http.access_origin import HEALTH_PATHS
 from joulemap.service.http.access_rate import Buckets
@@ -63,6 +64,15 @@ class Keys:
             raise UnauthorizedError("this key is not valid: it is wrong, or it was revoked", prefix=prefix)
         return self._caller_of(row)
 
+    async def still_valid(self, headers: Headers, caller: Caller) -> bool:
+        """Return whether a request that was let in would be let in now; a database that is away changes nothing."""
+        try:
+            return await self.caller(headers) == caller
+        except UnauthorizedError:
+            return False
+        except BusyError:
+            return True
+
     async def _read(self, known_s: float) -> None:
         if self._clock() - self._read_at < known_s:
             return
@@ -111,6 +121,7 @@ class KeyCheck:
             try:
                 if path not in _OPEN_PATHS and not path.startswith(_OPEN_FOLDERS):
                     state["caller"] = await self._caller(scope, stack)
+                    state["still_valid"] = partial(self._keys.still_valid, Headers(scope=scope), state["caller"])
             except JoulemapError as error:
                 body = problem_of(error, state.get("request_id"))
                 headers = {"WWW-Authenticate": "Bearer"} if isinstance(error, UnauthorizedError) else {}

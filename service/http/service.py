@@ -73,6 +73,7 @@ class Service(SentFiles, Made):
             processes=settings.read_processes,
             queue=settings.read_queue_size,
             limits=ReadLimits(settings.read_seconds, settings.read_memory_mb),
+            scratch=lambda: self.store.uploads,
         )
         self.metrics.gauge(
             "joulemap_sent_files_waiting", "sent files that wait to be read", lambda: float(self.readers.waiting)

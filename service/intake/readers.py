@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import os
 import socket
 import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import anyio
@@ -25,17 +28,23 @@ from joulemap.model.errors import BusyError, TooLargeError, error_of
 from joulemap.service.intake.limits import ReadLimits
 
 _RETRY_S = 5.0
+_LOG = logging.getLogger("joulemap.service")
 _BEGUN = b"\n"  # as the template says it
 _TRIES = 2  # a template may have been killed
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 class Readers:
-    """Reads files in other processes, a few at a time; `close` it at the end."""
+    """Reads files in other processes, a few at a time; `close` it at the end.
 
-    def __init__(self, *, processes: int, queue: int, limits: ReadLimits) -> None:
+    `scratch`: returns the folder for what they write, which is emptied at the next start.
+    """
+
+    def __init__(
+        self, *, processes: int, queue: int, limits: ReadLimits, scratch: Callable[[], Path | None] = lambda: None
+    ) -> None:
         self._queue = queue
-        self._limits = limits
+        self._limits, self._scratch = limits, scratch
         self._limiter = anyio.CapacityLimiter(processes)
         self._template: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
@@ -96,12 +105,15 @@ class Readers:
                 retry_after_s=_RETRY_S,
             )
         async with self._limiter:
-            with tempfile.TemporaryDirectory(prefix="joulemap-") as scratch:  # also what a killed process leaves
+            with tempfile.TemporaryDirectory(prefix="joulemap-", dir=self._scratch()) as scratch:
                 given = json.dumps({**arguments, "limits": asdict(self._limits), "scratch": scratch})
                 answer = await self._answer(json.dumps({"task": task, "arguments": given}).encode())
         if answer == _BEGUN:
             raise self._ended(str(arguments.get("name", "the file")))
-        found = json.loads(answer)
+        try:
+            found = json.loads(answer)
+        except ValueError as error:  # it was killed as it answered
+            raise _gone() from error
         if "os_error" in found:
             raise OSError(*found["os_error"])
         if "error" in found:
@@ -113,12 +125,16 @@ class Readers:
         """What the fork for a file says; `_BEGUN` alone where it was ended."""
         broken = None
         for _ in range(_TRIES):
-            template, control = await anyio.to_thread.run_sync(self._current, broken)
+            try:
+                template, control = await anyio.to_thread.run_sync(self._current, broken)
+            except OSError as error:  # no process or no memory is left for it
+                raise _gone() from error
             said = await _forked(control, asked)
             if said:
                 return said
             broken = template
-        raise RuntimeError("the process that reads files does not start: see its output")
+        _LOG.error("the process that reads files ended %d times one after another", _TRIES)
+        raise _gone()
 
     def _ended(self, name: str) -> TooLargeError:
         limits = self._limits
@@ -131,10 +147,14 @@ class Readers:
         )
 
 
+def _gone() -> BusyError:
+    return BusyError("the process that reads sent files was ended: send the file again", retry_after_s=_RETRY_S)
+
+
 async def _forked(control: socket.socket, asked: bytes) -> bytes:
     """What a fork of the template answers; nothing where the template is gone. The fork ends with this call."""
     ours, theirs = socket.socketpair()
-    with theirs, suppress(BrokenPipeError, ConnectionResetError):
+    with theirs, suppress(OSError):  # also one that another request has closed by now
         socket.send_fds(control, [b"f"], [theirs.fileno()])
     stream, writer = await asyncio.open_unix_connection(sock=ours)
     try:

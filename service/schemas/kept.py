@@ -16,6 +16,7 @@ from joulemap.service.schemas.loop import CalibrationOut, RunOut, RunsOut
 from joulemap.service.schemas.maps import CostmapOut, HeightmapOut
 from joulemap.service.storage.tables import (
     DONE,
+    NO_TIME,
     CalibrationRow,
     CostmapRow,
     HeightmapRow,
@@ -51,7 +52,7 @@ def shown(row: Row, answer: Callable[[Row], Answer]) -> Answer:
     """
     try:
         return answer(row)
-    except (ValidationError, JoulemapError, KeyError, TypeError, ValueError) as error:
+    except (ValidationError, JoulemapError, LookupError, TypeError, ValueError, AttributeError) as error:
         _LOG.warning("%s cannot be shown", row.id, exc_info=error)
         raise ConflictError(f"{row.id} is kept, but cannot be shown: {_reason(error)}. Delete it", id=row.id) from error
 
@@ -77,7 +78,7 @@ def listed(rows: Iterable[Row], answer: Callable[[Row], Answer]) -> list[Answer 
             found.append(shown(row, answer))
         except ConflictError as error:
             problem = Problem(**problem_of(error))
-            found.append(UnreadableOut(id=row.id, created_at=_utc(row.created_at), problem=problem))
+            found.append(UnreadableOut(id=row.id, created_at=row.created_at.replace(tzinfo=dt.UTC), problem=problem))
     return found
 
 
@@ -229,4 +230,6 @@ def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> Calibra
 
 def _utc(time: dt.datetime) -> dt.datetime:
     """The time with its time zone: the database keeps UTC without one."""
+    if time == NO_TIME:
+        raise ValueError("its time is damaged")
     return time.replace(tzinfo=dt.UTC)

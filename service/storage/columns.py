@@ -1,11 +1,53 @@
-"""Adds to the tables of an older version the columns and indexes that they do not have yet."""
+"""The tables of an older version get what they lack; those of a newer one, and damaged ones, are refused."""
 
 from __future__ import annotations
 
-from sqlalchemy import Connection, inspect
+from sqlalchemy import Connection, Engine, delete, insert, inspect, select
+from sqlalchemy.exc import DatabaseError, OperationalError
 from sqlalchemy.schema import CreateColumn
 
-from joulemap.service.storage.tables import Base
+from joulemap.model.errors import ConflictError, DamagedError
+from joulemap.service.storage.tables import SCHEMA, SCHEMA_VERSION, Base
+
+
+def check_schema(connection: Connection) -> None:
+    """Refuse a database whose tables a newer joulemap has changed. None has a version before 0.2."""
+    if not inspect(connection).has_table(SCHEMA_VERSION.name):
+        return
+    version = connection.execute(select(SCHEMA_VERSION.c.version)).scalar() or 0
+    if version > SCHEMA:
+        raise ConflictError(
+            f"the database was written by a newer joulemap (its tables are version {version}, this joulemap knows "
+            f"{SCHEMA}): install that one again, or restore a backup that this one made",
+            found=version,
+            limit=SCHEMA,
+        )
+
+
+def note_schema(connection: Connection) -> None:
+    """Write down which version the tables have now."""
+    SCHEMA_VERSION.create(connection, checkfirst=True)
+    if connection.execute(select(SCHEMA_VERSION.c.version)).scalar() != SCHEMA:
+        connection.execute(delete(SCHEMA_VERSION))
+        connection.execute(insert(SCHEMA_VERSION).values(version=SCHEMA))
+
+
+def check_pages(engine: Engine) -> None:
+    """Refuse a SQLite file whose pages are damaged: what it would answer and keep from then on is not known."""
+    file = engine.url.database
+    try:
+        with engine.connect() as connection:
+            found = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar()
+    except OperationalError:  # it cannot be opened or is locked, which the next question says
+        return
+    except DatabaseError as error:
+        found = str(error.orig)
+    if found != "ok":
+        raise DamagedError(
+            f"the database {file} is damaged: {' '.join(str(found).split())[:200]}. `joulemap check` says what can be "
+            "read of it; `joulemap restore` brings back a backup",
+            file=file,
+        )
 
 
 def add_missing_columns(connection: Connection) -> None:

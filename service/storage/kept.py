@@ -19,9 +19,9 @@ from sqlalchemy.orm import Session, sessionmaker
 
 from joulemap.model.errors import NotFoundError
 from joulemap.service.storage.claims import Claims
-from joulemap.service.storage.columns import add_missing_columns
+from joulemap.service.storage.columns import add_missing_columns, check_pages, check_schema, note_schema
 from joulemap.service.storage.data_folder import DataFolder
-from joulemap.service.storage.finite import dumps
+from joulemap.service.storage.finite import dumps, loads
 from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.owners import NOBODY, Caller
 from joulemap.service.storage.private import close_database, say_what_is_open
@@ -83,11 +83,15 @@ class Kept:
             say_what_is_open(self._dir)
         if self._engine.dialect.name == "sqlite":
             event.listen(self._engine, "connect", _set_up_sqlite)
+            if as_service and not alone:  # a repair, a restore
+                check_pages(self._engine)
         with self._engine.begin() as connection:
             if self._engine.dialect.name == "postgresql":  # services and workers may start at the same moment
                 connection.execute(text(f"select pg_advisory_xact_lock({_TABLES_LOCK})"))
+            check_schema(connection)
             Base.metadata.create_all(connection)
             add_missing_columns(connection)
+            note_schema(connection)
         self._sessions = sessionmaker(self._engine, expire_on_commit=False)
         if as_service:
             self._folder.sweep(self._sessions)
@@ -104,6 +108,11 @@ class Kept:
     def folder(self) -> Path:
         """The data folder."""
         return self._dir
+
+    @property
+    def uploads(self) -> Path:
+        """The folder of this process for what is not whole yet; the next service sweeps it."""
+        return self._folder.uploads
 
     @property
     def sessions(self) -> sessionmaker[Session]:
@@ -241,10 +250,17 @@ def now() -> dt.datetime:
 def _engine_of(url: str) -> Engine:
     """The engine of a database; that of a PostgreSQL gives up a server that does not answer."""
     if not url.startswith("postgresql"):
-        return create_engine(url, pool_pre_ping=True, json_serializer=dumps)
+        return create_engine(url, pool_pre_ping=True, json_serializer=dumps, json_deserializer=loads)
     from joulemap.service.storage.postgres import PATIENCE, POOL_S, limit  # with a library that is an extra
 
-    engine = create_engine(url, pool_pre_ping=True, pool_timeout=POOL_S, json_serializer=dumps, connect_args=PATIENCE)
+    engine = create_engine(
+        url,
+        pool_pre_ping=True,
+        pool_timeout=POOL_S,
+        json_serializer=dumps,
+        json_deserializer=loads,
+        connect_args=PATIENCE,
+    )
     limit(engine)
     return engine
 
@@ -252,3 +268,4 @@ def _engine_of(url: str) -> Engine:
 def _set_up_sqlite(connection: Any, _record: Any) -> None:
     for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", "busy_timeout=10000"):
         connection.execute(f"PRAGMA {pragma}")
+    connection.text_factory = lambda text: text.decode("utf-8", "replace")  # a damaged text harms its own row alone

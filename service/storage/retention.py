@@ -18,6 +18,7 @@ from joulemap.service.storage.tables import (
     DONE,
     FAILED,
     JOBS,
+    NO_TIME,
     CalibrationRow,
     CostmapRow,
     HeightmapRow,
@@ -26,6 +27,7 @@ from joulemap.service.storage.tables import (
 )
 
 _LOG = logging.getLogger("joulemap.service")
+_TO_COME = dt.timedelta(days=1)  # more than clocks of several services differ by
 _JUST_USED = dt.timedelta(minutes=15)  # longer than a question, and than uses are noted after they happen
 
 
@@ -35,6 +37,13 @@ def note_uses(store: Store, uses: Mapping[str, dt.datetime]) -> None:
         for job_id, at in uses.items():
             table = JOBS[kind_of(job_id)]
             session.execute(update(table).where(table.id == job_id).values(used_at=at))
+
+
+def forget_ages(store: Store, now: dt.datetime) -> None:
+    """Count the age of everything from now, because the times at which it was used are not known. `now`: [UTC]."""
+    with store.sessions.begin() as session:
+        for table in (HeightmapRow, RunsRow, CostmapRow, CalibrationRow):
+            session.execute(update(table).values(used_at=now))
 
 
 def remove_unused(
@@ -56,7 +65,7 @@ def remove_unused(
     if days is not None:
         oldest = now - dt.timedelta(days=days)
         for table in (CostmapRow, CalibrationRow, RunsRow, HeightmapRow):
-            for row_id, _, used in _by_use(store, table):
+            for row_id, _, used in _by_use(store, table, now + _TO_COME):
                 if used >= oldest:
                     break
                 if _gone(delete[table], row_id):
@@ -64,7 +73,7 @@ def remove_unused(
                     _LOG.info("%s was removed: last used %s, more than %g days ago", row_id, used, days)
     if most_bytes is not None:
         kept = _kept(store)
-        for row_id, size, used in _by_use(store, CostmapRow):
+        for row_id, size, used in _by_use(store, CostmapRow, dt.datetime.max):
             if kept <= most_bytes or used > now - _JUST_USED:
                 break
             if size and _gone(delete[CostmapRow], row_id):
@@ -88,15 +97,21 @@ def _gone(delete: Callable[[str], object], row_id: str) -> bool:
     return False
 
 
-def _by_use(store: Store, table: Any) -> list[tuple[str, int | None, dt.datetime]]:
-    """Id, size and time of the last use of all rows whose job has ended, least recently used first."""
+def _by_use(store: Store, table: Any, latest: dt.datetime) -> list[tuple[str, int | None, dt.datetime]]:
+    """Id, size and time of the last use of all rows whose job has ended, least recently used first.
+
+    A time after `latest` was written under another clock; what nobody can date is not old.
+    """
     ends = [table.finished_at] if hasattr(table, "finished_at") else []
     query = select(table.id, table.bytes, table.created_at, table.used_at, *ends)
     if ends:
         query = query.where(table.status.in_([DONE, FAILED, CANCELLED]))
     with store.sessions() as session:
         rows = session.execute(query).all()
-    found = [(row_id, size, max(at for at in times if at is not None)) for row_id, size, *times in rows]
+    found = [
+        (row_id, size, max((at for at in times if at is not None and NO_TIME < at <= latest), default=latest))
+        for row_id, size, *times in rows
+    ]
     return sorted(found, key=lambda row: row[2])
 
 

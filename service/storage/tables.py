@@ -6,14 +6,47 @@ import datetime as dt
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, ForeignKey, Text
+from sqlalchemy import JSON, BigInteger, Column, DateTime, Dialect, ForeignKey, Integer, MetaData, Table, Text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.types import TypeDecorator
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
 
 
+NO_TIME = dt.datetime.min
+"""Stands for a text that is no time; a key that was revoked then stays revoked."""
+
+SCHEMA = 1
+"""Version of these tables: the next one where a version of joulemap before it would read or write them wrongly."""
+
+
+class _Time(TypeDecorator[dt.datetime]):
+    """A time, or NO_TIME where the database has a damaged one, so that no other row is lost with it."""
+
+    impl = DateTime
+    cache_ok = True
+
+    def result_processor(self, dialect: Dialect, coltype: object) -> Any:
+        """Return what reads a stored value."""
+        read = self.impl_instance.result_processor(dialect, coltype) or (lambda value: value)
+
+        def _read(value: Any) -> Any:
+            try:
+                return read(value)
+            except (ValueError, TypeError):
+                return NO_TIME
+
+        return _read
+
+
 class Base(DeclarativeBase):
     """Base of all tables."""
+
+    type_annotation_map = {dt.datetime: _Time}  # noqa: RUF012 - as SQLAlchemy declares it
+
+
+SCHEMA_VERSION = Table("schema_version", MetaData(), Column("version", Integer))
+"""The version of the tables, in one row; no part of what is copied, which is written into tables of today."""
 
 
 class Kept:

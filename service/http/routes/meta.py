@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from base64 import b64encode
+from hashlib import sha256
 from importlib import resources
 
 from fastapi import APIRouter, Response
@@ -14,9 +17,15 @@ from joulemap.planner.route_planner import PLANNERS
 from joulemap.service.http.dependencies import ServiceDep
 from joulemap.service.http.documents import problems
 from joulemap.service.http.metrics import MEDIA_TYPE
+from joulemap.service.http.routes.page import headers_of
 
 router = APIRouter(tags=["service"])
 _SWAGGER_UI = "fastapi_swagger"  # the package that carries Swagger UI, so that the page needs no address outside
+_DOCS_POLICY = (
+    "default-src 'none'; script-src 'self' {scripts}; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""Swagger UI writes styles into the document; of scripts in it only that which FastAPI starts it with may run."""
 _SCRIPT, _STYLE, _ICON = "swagger-ui-bundle.js", "swagger-ui.css", "favicon-32x32.png"
 
 
@@ -86,7 +95,7 @@ async def index(service: ServiceDep) -> Index:
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
 def docs() -> HTMLResponse:
     """Every request with its fields, to read and to try; served without any other server."""
-    return get_swagger_ui_html(
+    page = get_swagger_ui_html(
         openapi_url="openapi.json",
         title="joulemap: HTTP API",
         swagger_js_url=f"docs/static/{_SCRIPT}",
@@ -94,6 +103,10 @@ def docs() -> HTMLResponse:
         swagger_favicon_url=f"docs/static/{_ICON}",
         swagger_ui_parameters={"validatorUrl": None},  # which would send the document to swagger.io
     )
+    scripts = re.findall(rb"<script>(.*?)</script>", bytes(page.body), re.DOTALL)
+    hashes = " ".join(f"'sha256-{b64encode(sha256(script).digest()).decode()}'" for script in scripts)
+    page.headers.update(headers_of(_DOCS_POLICY.format(scripts=hashes)))
+    return page
 
 
 @router.get("/docs/static/{name}", include_in_schema=False)
