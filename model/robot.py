@@ -131,6 +131,21 @@ class Robot:
             f"{self.tracking_std_m:g} m beside its path{elsewhere}"
         )
 
+    def __new__(cls, *_: Any, **values: Any) -> Robot:
+        """Say what an unknown name may have been meant to be, as robot files do."""
+        cls._check_names(values)
+        return super().__new__(cls)
+
+    @classmethod
+    def _check_names(cls, values: Mapping[str, Any]) -> None:
+        known = [field.name for field in fields(cls)]
+        unknown = sorted(set(values) - set(known))
+        if unknown:
+            found = [f"robot.{name}: unknown{_hint(name, values[name], known)}" for name in unknown]
+            if not all(nearest_name(name, known) or isinstance(values[name], Mapping) for name in unknown):
+                found[-1] += f"; known are {', '.join(known)}"
+            raise RobotError("; ".join(found), key=unknown[0], keys=unknown)
+
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> Robot:
         """Return the robot with these values; what is missing keeps its default.
@@ -150,13 +165,6 @@ class Robot:
         RobotError
             On an unknown name, and on an impossible value.
         """
-        known = [field.name for field in fields(cls)]
-        unknown = sorted(set(values) - set(known))
-        if unknown:
-            found = [f"robot.{name}: unknown{_hint(name, values[name], known)}" for name in unknown]
-            if not all(nearest_name(name, known) or isinstance(values[name], Mapping) for name in unknown):
-                found[-1] += f"; known are {', '.join(known)}"
-            raise RobotError("; ".join(found), key=unknown[0], keys=unknown)
         return cls(**values)
 
     @classmethod

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import GridFrame
+from joulemap.service.areas_given import corners_of
 from joulemap.service.coordinates import degrees, from_wgs84, on_map, world_point
 
 if TYPE_CHECKING:  # they take their time to load
@@ -58,7 +59,7 @@ class Places:
         Result: world coordinates [m]. Corners of two numbers are latitude, longitude if none of an area is on the map
         as x, y, and one is as latitude, longitude.
         """
-        return [self._area(corners, f"area {k}") for k, corners in enumerate(areas)]
+        return [self._area(corners, f"area {k}") for k, corners in enumerate(corners_of(areas, self.frame))]
 
     def _area(self, corners: Sequence[Any], name: str) -> list[list[float]]:
         if any(isinstance(corner, Mapping) for corner in corners):

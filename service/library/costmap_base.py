@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 from joulemap.model.robot import Robot
 from joulemap.planner.lattice import CostLattice
@@ -11,6 +12,10 @@ from joulemap.service.coordinates import PlaceLike
 
 Point = PlaceLike
 """World x, y [m] in the CRS of the map; or latitude, longitude, see `joulemap.service.coordinates.world_point`."""
+
+
+AreasLike = Any
+"""Corners of each area, polygons with `__geo_interface__`, or a boolean mask: see `joulemap.service.areas_given`."""
 
 
 class CostMapBase:
@@ -24,6 +29,10 @@ class CostMapBase:
 
     def __init__(self, lattice: CostLattice) -> None:
         self.lattice = lattice
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the planner out of copies: it has locks, and is made again when it is needed."""
+        return {name: value for name, value in self.__dict__.items() if name != "planner"}
 
     @property
     def _whole(self) -> CostLattice:

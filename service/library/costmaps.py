@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import InputError
 from joulemap.planner.lattice import CostLattice
@@ -117,7 +117,12 @@ class StoredCostMap(CostMap):
     def __init__(self, path: str | Path, *, memory_gb: float = DEFAULT_MEMORY / 1e9) -> None:
         if not memory_gb > 0.0:
             raise InputError(f"`memory_gb` is {memory_gb}: give a positive number of gigabytes", memory_gb=memory_gb)
+        self._memory_gb = memory_gb
         self.stored = StoredPlanner(path, memory_bytes=int(memory_gb * 1e9))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Open the folder again: an open one is no part of a copy."""
+        return _opened, (str(self.stored.stored.path), self._memory_gb)
 
     @property
     def lattice(self) -> CostLattice:  # type: ignore[override]
@@ -161,6 +166,10 @@ class StoredCostMap(CostMap):
             "robot": f"{self.robot.name}, {self.robot.mass_kg:g} kg, {self.robot.speed_mps:g} m/s",
             "folder": str(self.stored.stored.path),
         }
+
+
+def _opened(path: str, memory_gb: float) -> StoredCostMap:
+    return StoredCostMap(path, memory_gb=memory_gb)
 
 
 def open_costmap(path: str | Path, *, memory_gb: float | None = None) -> CostMap:

@@ -19,10 +19,11 @@ from joulemap.model.terrain.coordinate_systems import crs_name
 from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.library.data_array import grid_of
 from joulemap.service.library.run_files import RunsLike, read_runs
 
-GroundLike = Heightmap | str | Path
-"""A heightmap, or the path of its file."""
+GroundLike = Any
+"""A heightmap, the path of its file, or a DataArray of xarray."""
 RobotLike = Robot | Mapping[str, Any] | str | Path | None
 """A robot, its fields, the path of its TOML file, or None for the built-in one."""
 
@@ -30,7 +31,7 @@ RobotLike = Robot | Mapping[str, Any] | str | Path | None
 def heightmap(
     heights: ArrayLike,
     *,
-    resolution_m: float,
+    resolution_m: float | None = None,
     west_m: float = 0.0,
     north_m: float | None = None,
     crs: str | None = None,
@@ -41,9 +42,10 @@ def heightmap(
     Parameters
     ----------
     heights : array_like, (rows, cols) [m]
-        Row 0 is north, column 0 is west. NaN where the height is unknown.
-    resolution_m : float
-        Side of a cell [m].
+        Row 0 is north, column 0 is west. NaN where the height is unknown. A DataArray of xarray has its coordinates `x`
+        and `y` (centres of cells), in either direction, and its CRS.
+    resolution_m : float, optional
+        Side of a cell [m]; only a DataArray says it itself.
     west_m : float, optional
         x of the outer western edge [m].
     north_m : float, optional
@@ -70,6 +72,14 @@ def heightmap(
     >>> jm.heightmap(np.zeros((40, 60)), resolution_m=0.5).frame.bounds
     (0.0, 0.0, 30.0, 20.0)
     """
+    if hasattr(heights, "coords") and hasattr(heights, "dims"):
+        if resolution_m is not None or west_m != 0.0 or north_m is not None:
+            raise HeightmapError("a DataArray says where it lies: leave out resolution_m, west_m and north_m")
+        grid = grid_of(heights)
+        heights, resolution_m, west_m, north_m = grid.heights, grid.resolution_m, grid.west_m, grid.north_m
+        crs = crs if crs is not None else grid.crs
+    if resolution_m is None:
+        raise HeightmapError("give resolution_m, the side of a cell [m]: an array does not say it")
     try:
         array = Scaling(nodata=nodata).to_metres(np.asarray(heights, dtype=np.float64))
     except (TypeError, ValueError) as error:
@@ -146,6 +156,8 @@ def ground_of(ground: GroundLike) -> Heightmap:
     """Return the heightmap that is meant."""
     if isinstance(ground, Heightmap):
         return ground
+    if hasattr(ground, "coords") and hasattr(ground, "dims"):
+        return heightmap(ground)
     if not isinstance(ground, str | Path):
         raise InputError(
             f"the ground is {_shown(ground)}: give a heightmap or the path of its file; "
