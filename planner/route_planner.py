@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.errors import NoRouteError
 from joulemap.model.threads import both
 from joulemap.planner.answers import Plan, RoundTrip
 from joulemap.planner.any_angle.best import (
@@ -25,11 +26,11 @@ from joulemap.planner.any_angle.best import (
     tightened,
 )
 from joulemap.planner.areas.reach import ReachField, reach_field
-from joulemap.planner.grid.fields import field_towards
+from joulemap.planner.grid.fields import field_from, field_towards
 from joulemap.planner.grid.search import grid_search
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.avoid import Polygon, checked_polygons, window_of, without
-from joulemap.planner.places import end_point
+from joulemap.planner.places import end_point, free_places
 from joulemap.planner.planners import PLANNERS, Options, planner_named
 from joulemap.planner.pricing.integrator import Points, margin_cells, metres_within_margin, path_price
 from joulemap.planner.pricing.move_prices import check_neighbours
@@ -226,7 +227,8 @@ class RoutePlanner:
         alternatives : int, default 0
             Most other routes to look for, see `alternative_paths`.
         snap : bool, default False
-            Whether a start or goal on blocked ground is moved to the nearest free place; the route's notes say where.
+            Whether a start or goal on blocked ground is moved to the nearest free place, and a goal that cannot be
+            reached to the nearest one that can; the route's notes say where.
         bound : bool, default False
             Whether to search for a lower bound of every route's energy, which prices the whole map once. Without it the
             bound is that of the idle power over the straight distance.
@@ -252,10 +254,65 @@ class RoutePlanner:
         NegativeCycleError
             If driving in a circle would fill the battery.
         """
+        how: dict[str, Any] = {
+            "planner": planner,
+            "neighbours": neighbours,
+            "refine": refine,
+            "time_limit_s": time_limit_s,
+            "seed": seed,
+            "from_grid": from_grid,
+            "alternatives": alternatives,
+            "bound": bound,
+            "progress": progress,
+        }
+        notes: list[str] = []
+        try:
+            return self._planned(start_xy, goal_xy, notes, snap=snap, **how)
+        except NoRouteError:
+            near = self._reachable_near(start_xy, goal_xy) if snap else None
+            if near is None:
+                raise
+            x, y, away_m = near
+            words = (
+                f"the goal cannot be reached and was moved to the nearest place that can, ({x:.2f}, {y:.2f}), "
+                f"{away_m:.2f} m away"
+            )
+            return self._planned(start_xy, (x, y), [words], snap=True, **how)
+
+    def _reachable_near(
+        self, start_xy: tuple[float, float], goal_xy: tuple[float, float]
+    ) -> tuple[float, float, float] | None:
+        """World x, y [m] of the cell centre nearest to a goal that the start leads to, and its distance [m]."""
+        lattice = self.lattice
+        start = self._end("start", start_xy, [], True)
+        there = np.isfinite(field_from(lattice, self._table(ANY_ANGLE_NEIGHBOURS, distance=False), start).energy_j)
+        cells = np.argwhere(there & free_places(lattice))
+        if not len(cells):
+            return None
+        goal = np.array(lattice.frame.rowcol(*goal_xy))
+        x, y = (float(value) for value in lattice.frame.xy(*cells[np.argmin(np.hypot(*(cells - goal).T))]))
+        return x, y, math.dist((x, y), goal_xy)
+
+    def _planned(
+        self,
+        start_xy: tuple[float, float],
+        goal_xy: tuple[float, float],
+        notes: list[str],
+        *,
+        planner: str,
+        neighbours: int,
+        refine: bool,
+        time_limit_s: float,
+        seed: int,
+        from_grid: bool,
+        alternatives: int,
+        snap: bool,
+        bound: bool,
+        progress: Callable[[float], None] | None,
+    ) -> Plan:
         asked = planner_named(planner)
         check_neighbours(neighbours)
         lattice = self.lattice
-        notes: list[str] = []
         start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
         began = time.perf_counter()
         if refine:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from joulemap.model.errors import InputError, NoRouteError
 from joulemap.model.frames import GridFrame
 from joulemap.planner.grid.fields import EnergyField
+from joulemap.planner.grid.search import no_route
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.xarray_dataset import GRID, Variable, coordinates_of
 
@@ -160,6 +161,8 @@ def energy_map(out: EnergyField | None, back: EnergyField | None) -> EnergyMap:
     ------
     InputError
         If both are None.
+    NoRouteError
+        If no route joins the two.
     """
     known = [field for field in (out, back) if field is not None]
     if not known:
@@ -168,6 +171,8 @@ def energy_map(out: EnergyField | None, back: EnergyField | None) -> EnergyMap:
     total = sum(field.search.energy_j for field in known)
     states = np.asarray(total).reshape(*lattice.frame.shape, known[0].search.layers).min(axis=2)
     energy = np.where(np.isfinite(states), states, np.nan).astype(np.float32)
+    if not np.isfinite(energy).any():
+        raise no_route(lattice.robot, int(np.isfinite(known[0].energy_j).sum()))
     kind = FieldKind.THROUGH if len(known) == 2 else FieldKind.TO if out is None else FieldKind.FROM
     record: dict[str, Any] = {"kind": str(kind)}
     for name, field in (("start", out), ("goals", back)):

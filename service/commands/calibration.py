@@ -26,6 +26,7 @@ from joulemap.service.commands.options import (
     named_sites,
     reading_words,
     robot_of,
+    robot_words,
 )
 from joulemap.service.commands.route_files import RouteCoordinates, RouteFiles, RouteFormatName, wanted_files
 from joulemap.service.words import energy_words, runs_words
@@ -161,6 +162,7 @@ def calibrate(
         reading,
     )
     read = asked.read(test_runs)
+    output.say(robot_words([read.robot]), head="Robot")
     with progress_bar("Calibrating") as report:
         made = calibrate_on_runs(
             model,

@@ -28,6 +28,7 @@ from joulemap.service.commands.options import (
     png,
     refuse_to_replace,
     robot_of,
+    robot_words,
     there,
 )
 from joulemap.service.commands.remote import Key, MapOrId, Server, refuse_local, served, service_at, unpack
@@ -137,6 +138,7 @@ def costmap(
         else:
             output.warn([note])
     rover = robot_of(robot)
+    output.say(robot_words([rover]), head="Robot")
     with ThreadPoolExecutor(1) as reader:
         warned = reader.submit(heightmap_warnings, ground)
         from joulemap.service.cost_lattices import load_kernels, write_cost_lattice  # slowly; the map is read meanwhile

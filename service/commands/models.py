@@ -24,6 +24,7 @@ from joulemap.service.commands.options import (
     known_model,
     named_sites,
     refuse_to_replace,
+    robot_words,
     there,
 )
 from joulemap.service.words import runs_words, turning_words
@@ -140,6 +141,7 @@ def train(
     from joulemap.service.library import models as library
 
     sites = named_sites(heightmap, runs, site, campaign, robot, reading)
+    output.say(robot_words(site.robot for site in sites), head="Robot")
     with progress_bar("Training") as report:
         made = library.train(
             out=out,
@@ -208,6 +210,7 @@ def evaluate(
 
     output = Output(json_file)
     sites = named_sites(heightmap, runs, site, campaign, robot, reading)
+    output.say(robot_words(site.robot for site in sites), head="Robot")
     found = library.evaluate(sites=sites, model=model, charge=charge).document
     output.say(
         f"on {runs_words(len(found['route_relative_errors']))}: {_errors_words(found)}", head=f"Model {found['model']}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -217,6 +217,29 @@ def robot_of(file: Path | None) -> Robot:
     from joulemap.model.robot import Robot
 
     return Robot.from_toml(file) if file is not None else Robot()
+
+
+def robot_words(robots: Iterable[Robot]) -> str:
+    """Return which robots a command took, so that nobody gets numbers of another one without noticing.
+
+    Parameters
+    ----------
+    robots : iterable of Robot
+        Those of its maps.
+
+    Returns
+    -------
+    str
+        Each once; the built-in one with how to give another.
+    """
+    from joulemap.model.robot import Robot
+
+    found = []
+    for robot in dict.fromkeys(robots):
+        words = f"{robot.name}, {robot.mass_kg:g} kg, {robot.speed_mps:g} m/s"
+        usual = robot == Robot()
+        found.append(f"{words}: the built-in one, because no --robot FILE was given" if usual else words)
+    return "; ".join(found)
 
 
 def find_runs(patterns: list[str]) -> list[Path]:

@@ -115,6 +115,8 @@ class AreaQuestions(CostMapBase):
             If a place lies outside the map.
         BlockedError
             If a place lies on blocked ground, and `snap` is false.
+        NoRouteError
+            If no route joins the two.
         """
         table = move_table(self._whole, neighbours=neighbours)
         places = Places(self._whole.frame)

@@ -11,7 +11,7 @@ from pyproj import Transformer
 from typer.testing import CliRunner
 
 import joulemap as jm
-from joulemap.model.errors import InputError
+from joulemap.model.errors import InputError, NoRouteError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.cli import app
@@ -204,3 +204,36 @@ def test_reach_from_the_command_line(costmap, tmp_path):
     assert [level["charge"] for level in levels] == [0.0008, 0.003]
     refused = CliRunner().invoke(app, [*words[:-1], "reach.gpx"])
     assert refused.exit_code == 2
+
+
+def test_a_field_between_places_that_no_way_joins_is_an_error(tmp_path):
+    heights = np.zeros((30, 40))
+    heights[:, 20:22] = 5.0
+    ground = jm.costmap(jm.heightmap(heights, resolution_m=1.0), model="physics")
+    with pytest.raises(NoRouteError, match="no way leads"):
+        ground.field(start=(5.5, 15.5), goal=(35.5, 15.5), snap=True)
+    ground.save(tmp_path / "walled.zarr")
+    place = tmp_path / "field.tif"
+    words = ["--start", "5.5,15.5", "--goal", "35.5,15.5", "--snap", "--out", str(place)]
+    found = CliRunner().invoke(app, ["field", str(tmp_path / "walled.zarr"), *words])
+    assert found.exit_code == 4, found.output
+    assert not place.exists()
+    with pytest.raises(NoRouteError):
+        ground.plan((5.5, 15.5), (35.5, 15.5))
+    found = ground.plan((5.5, 15.5), (35.5, 15.5), snap=True)
+    assert found.points[-1][0] < 20.0
+    assert any("cannot be reached and was moved" in note for note in found.route.notes)
+
+
+def test_commands_say_which_robot_they_took(tmp_path):
+    from joulemap.model.terrain.writers import write_geotiff
+
+    write_geotiff(tmp_path / "dem.tif", hills())
+    (tmp_path / "mine.toml").write_text('name = "mine"\nmass_kg = 3.0\n')
+    words = ["costmap", str(tmp_path / "dem.tif"), "--model", "physics", "--out"]
+    for name, more, said in (
+        ("a.zarr", [], "35 kg, 0.5 m/s: the built-in one, because no --robot FILE was given"),
+        ("b.zarr", ["--robot", str(tmp_path / "mine.toml")], "mine, 3 kg"),
+    ):
+        found = CliRunner().invoke(app, [*words, str(tmp_path / name), *more], env={"COLUMNS": "200"})
+        assert said in found.output
