@@ -162,7 +162,6 @@ def calibrate(
         reading,
     )
     read = asked.read(test_runs)
-    output.say(robot_words([read.robot]), head="Robot")
     with progress_bar("Calibrating") as report:
         made = calibrate_on_runs(
             model,
@@ -178,6 +177,7 @@ def calibrate(
     write_file(out / "report.json", json_text(made.document).encode())
     write_file(out / "report.html", report_page(made, steps=steps).encode())
     _say(output, made.document, out, steps)
+    output.say(robot_words([read.robot]), head="Robot")
     output.say(
         f"{runs_words(read.run_count)}, {read.rows:,} rows, {made.document['segments']['fit']:,} segments in "
         f"{time.perf_counter() - began:.0f} s"

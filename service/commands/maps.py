@@ -138,7 +138,6 @@ def costmap(
         else:
             output.warn([note])
     rover = robot_of(robot)
-    output.say(robot_words([rover]), head="Robot")
     with ThreadPoolExecutor(1) as reader:
         warned = reader.submit(heightmap_warnings, ground)
         from joulemap.service.cost_lattices import load_kernels, write_cost_lattice  # slowly; the map is read meanwhile
@@ -165,6 +164,7 @@ def costmap(
     output.say(f"of {ground.source} for {rover.name}, model {made.provenance['model']['name']}", head="Cost map")
     output.table(
         {
+            "robot": robot_words([rover]),
             "cells": f"{frame.rows} rows x {frame.cols} columns of {frame.resolution_m:g} m, {headings} headings",
             "energy": "{min:.1f} .. {max:.1f} J/m, mean {mean:.1f} J/m".format(**price) if price else "nothing is free",
             "ground": words,

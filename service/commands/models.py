@@ -141,7 +141,6 @@ def train(
     from joulemap.service.library import models as library
 
     sites = named_sites(heightmap, runs, site, campaign, robot, reading)
-    output.say(robot_words(site.robot for site in sites), head="Robot")
     with progress_bar("Training") as report:
         made = library.train(
             out=out,
@@ -163,6 +162,7 @@ def train(
     output.say(f"{out}, version {made['version']}, {made['epochs']} epochs", head="Trained")
     output.table(
         {
+            "robot": robot_words(site.robot for site in sites),
             "learned from": f"{made['segments']:,} segments of {runs_words(len(made['runs']))}",
             "held out": f"{_held_out_words(made)}: {_errors_words(made['held_out'])}"
             + (" (a little too low: these runs decided when to stop)" if made["stopped_by_held_out"] else ""),
@@ -210,13 +210,13 @@ def evaluate(
 
     output = Output(json_file)
     sites = named_sites(heightmap, runs, site, campaign, robot, reading)
-    output.say(robot_words(site.robot for site in sites), head="Robot")
     found = library.evaluate(sites=sites, model=model, charge=charge).document
     output.say(
         f"on {runs_words(len(found['route_relative_errors']))}: {_errors_words(found)}", head=f"Model {found['model']}"
     )
     output.table(
         {
+            "robot": robot_words(site.robot for site in sites),
             "segments": f"{found['segments']:,} ({found['unknown']:,} more on unknown ground)",
             "track used": coverage_words(found["used"]),
             "not used": count_words(found["left_out"]) or "nothing",

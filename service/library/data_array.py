@@ -38,8 +38,8 @@ def grid_of(array: Any) -> Grid:
     step = float(np.median(steps))
     if np.abs(steps - step).max() > SAME_LENGTH * step:
         raise HeightmapError(
-            f"the coordinates of the DataArray are {steps.min():g} to {steps.max():g} apart: cells are square, and all "
-            "as large",
+            f"the steps between the coordinates of the DataArray are {steps.min():g} to {steps.max():g} m: a "
+            "heightmap has square cells",
             steps=[float(steps.min()), float(steps.max())],
         )
     heights = heights[:: 1 if y[0] > y[-1] else -1, :: 1 if x[0] < x[-1] else -1]
