@@ -10,7 +10,7 @@ from joulemap.model.errors import InputError
 from joulemap.planner.route import Route
 from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.feasibility import assess, judge_routes
-from joulemap.service.library.costmap_base import AreasLike, CostMapBase, Point
+from joulemap.service.library.costmap_base import CostMapBase, Point
 from joulemap.service.library.feasibility import Feasibility
 from joulemap.service.library.planned_route import PlannedRoute
 from joulemap.service.library.planned_tour import PlannedTour
