@@ -19,6 +19,7 @@ REASONS = {  # face colour, hatch, colour of the hatch: none of them is a colour
     Blocked.OUTSIDE: ("#e4e6e8", "", "#9aa1a8"),
     Blocked.UNKNOWN: ("#ffffff", "////", "#9aa1a8"),
     Blocked.STEP: ("#8a8f94", "xxxx", "#f4f5f6"),
+    Blocked.OBSTACLE: ("#6f7479", "....", "#f4f5f6"),
     Blocked.GRADE: ("#b3264a", "", "#9aa1a8"),
     Blocked.CROSS_SLOPE: ("#f2a7b8", "", "#9aa1a8"),
 }

@@ -67,6 +67,8 @@ class Homeward:
         else:
             odds = "" if home.probability is None else f", {probability_words(home.probability)} likely"
             still = "It still comes home from here" if home.reachable else "It no longer comes home from here"
+            if odds and not home.reachable:
+                still = "It is not sure enough to come home from here"
             there = (
                 f"of {energy_words(self.available_j)}"
                 if self.available_j >= 0.0

@@ -56,12 +56,15 @@ def check_units(driven: Sequence[tuple[Segments, Robot]]) -> None:
     """Refuse runs whose metres take a hundred times more or less than their robots need on level ground, in the median
     of all runs: single runs may be circles on the spot.
     """
-    every, levels = [], []
+    every, levels = [np.zeros(0)], [0.0]
     for segments, robot in driven:
         unit = robot.nominal_voltage_v if segments.charge else 1.0
         every.append(unit * segments.energy_j / segments.driven_m)
         levels.append(float(robot.price_per_m(np.array(robot.weight_n * robot.rolling_resistance))))
-    took = float(np.median(np.concatenate(every)))
+    took_all = np.concatenate(every)
+    if not took_all.size:
+        return  # that there is no segment is said where they are placed
+    took = float(np.median(took_all))
     usual = float(np.repeat(levels, [len(part) for part in every]).mean())
     if usual > 0 and not usual / _FAR_OFF < took < usual * _FAR_OFF:
         raise RunsError(

@@ -96,7 +96,8 @@ def no_route(robot: Robot, reached: int) -> NoRouteError:
     """Return the error that says that a goal cannot be reached."""
     return NoRouteError(
         f"no way leads from start to goal within the limits of {robot.name} (grade {robot.max_grade_deg:g} deg, "
-        f"cross slope {robot.max_cross_slope_deg:g} deg): {reached:,} places can be reached from the start, and the "
+        f"cross slope {robot.max_cross_slope_deg:g} deg, outline {robot.length_m:g} x {robot.width_m:g} m and "
+        f"{robot.clearance_m:g} m of clearance): {reached:,} places can be reached from the start, and the "
         "goal is none of them; move the start or the goal",
         reached=reached,
     )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from joulemap.model.errors import NoRouteError
+from joulemap.model.errors import InputError, NoRouteError
 from joulemap.planner.planners.contract import Options, Planner
 
 if TYPE_CHECKING:  # names of planners are listed without what searches
@@ -44,6 +44,8 @@ def _bitstar(lattice: CostLattice, table: MoveTable, start: Points, goal: Points
 
 
 def _settings(options: Options) -> dict[str, Any]:
+    if not 0 <= options.seed < 2**31:
+        raise InputError(f"`seed` must lie in 0..{2**31 - 1}, got {options.seed}", seed=str(options.seed))
     return {"time_limit_s": options.time_limit_s, "seed": options.seed, "progress": options.progress}
 
 

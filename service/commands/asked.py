@@ -38,7 +38,7 @@ _METAVARS = {"m": "M", "s": "S", "w": "W", "wh": "WH", "percent": "PERCENT"}  # 
 _NAMES = {"charges": "charge", "stops": "stop", "round_trip": "return"}
 """Options whose name is not that of their field; `--round-trip` is known too."""
 _FILES = {
-    "avoid": "GeoJSON with areas (polygons) that no route may touch.",
+    "avoid": "GeoJSON with areas (polygons) that no route may touch; may be given several times.",
     "path": "A path: GeoJSON, GPX, KML, a mission (.plan, .waypoints), the JSON of `joulemap path` or `tour`, or CSV "
     "with lines x,y. Several lines are driven one after another.",
 }
@@ -60,10 +60,12 @@ class Wanted:
         from joulemap.service.commands.path_files import read_areas, read_path
 
         values, notes = {name: value for name, value in self.typed.items() if name in self}, list[str]()
-        for name, read in (("path", read_path), ("avoid", read_areas)):
-            if name in values:
-                values[name], more = read(values[name], frame)
-                notes += more
+        if "path" in values:
+            values["path"], notes = read_path(values["path"], frame)
+        if "avoid" in values:
+            read = [read_areas(file, frame) for file in values["avoid"]]
+            values["avoid"] = [area for areas, _ in read for area in areas]
+            notes += [note for _, found in read for note in found]
         return values, notes
 
 
@@ -166,8 +168,9 @@ def _options_of(request: type[BaseModel], without: Sequence[str]) -> Iterator[in
     fields = {name: field for name, field in (needed | others).items() if name not in without}
     for name, field in fields.items():
         if name in _FILES:
+            several = name == "avoid"
             file = typer.Option(f"--{name}", metavar="FILE", callback=there, help=_FILES[name])
-            yield _parameter(name, Annotated[Path | None, file], None)
+            yield _parameter(name, Annotated[list[Path] | None if several else Path | None, file], None)
         elif name == "charges":  # several shares, and with them the charge of the battery
             option = typer.Option("--charge", metavar="0..1[,0..1...]", parser=_shares, help=_sentence(field, fields))
             yield _parameter(name, Annotated[Any, option], "1.0")

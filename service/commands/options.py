@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -39,29 +39,17 @@ def png(path: Path | None) -> Path | None:
     return path
 
 
-def there(path: Path | None) -> Path | None:
-    """Return the file or folder that an option names.
+Named = TypeVar("Named", Path | None, list[Path] | None)
 
-    Parameters
-    ----------
-    path : Path, optional
-        As it was typed.
 
-    Returns
-    -------
-    Path or None
-        The same.
-
-    Raises
-    ------
-    NotFoundError
-        If nothing is there.
-    """
-    if path is not None and not path.exists():
-        url = ":/" in str(path)  # a path has lost one of the slashes
-        advice = ": joulemap reads files and asks no other machine; download it, and give the file" if url else ""
-        raise NotFoundError(f"there is no file {path}{advice}", path=str(path))
-    return path
+def there(named: Named) -> Named:
+    """Return the files or folders that an option names, one or several. Raises NotFoundError where one is not there."""
+    for path in named if isinstance(named, list) else [] if named is None else [named]:
+        if not path.exists():
+            url = ":/" in str(path)  # a path has lost one of the slashes
+            advice = ": joulemap reads files and asks no other machine; download it, and give the file" if url else ""
+            raise NotFoundError(f"there is no file {path}{advice}", path=str(path))
+    return named
 
 
 _CALIBRATION = re.compile(r"cal-[0-9a-f]{12}")

@@ -11,6 +11,7 @@ from joulemap.model.errors import HeightmapError
 from joulemap.model.terrain.decoded import SAME_LENGTH
 
 _ACROSS, _ALONG = ("x", "easting", "projection_x_coordinate"), ("y", "northing", "projection_y_coordinate")
+_METRES = ("m", "metre", "metres", "meter", "meters", "")
 _CRS_NAMES = ("spatial_ref", "crs_wkt", "crs")
 
 
@@ -22,6 +23,37 @@ class Grid(NamedTuple):
     west_m: float
     north_m: float
     crs: str | None
+
+
+def says_where(array: Any) -> bool:
+    """Whether an object is a DataArray with coordinates of both axes; without them it is an array."""
+    if not (hasattr(array, "coords") and hasattr(array, "dims")):
+        return False
+    return all(any(name in array.coords for name in names) for names in (_ACROSS, _ALONG))
+
+
+def nodata_of(array: Any) -> float | None:
+    """What a DataArray declares as the mark of unknown heights, as rioxarray and CF files do."""
+    declared = (
+        array.encoding.get("_FillValue"),
+        *(array.attrs.get(n) for n in ("_FillValue", "missing_value", "nodata")),
+    )
+    return next((float(value) for value in declared if value is not None), None)
+
+
+def refuse_other_units(array: Any) -> None:
+    """Refuse heights that a DataArray declares in another unit than metres, or scaled."""
+    unit = str(array.attrs.get("units", "m")).strip().lower()
+    if unit not in _METRES:
+        raise HeightmapError(f"the DataArray has heights in {unit!r}: convert them to metres", unit=unit)
+    scale, offset = (
+        float(array.attrs.get(name, usual)) for name, usual in (("scale_factor", 1.0), ("add_offset", 0.0))
+    )
+    if (scale, offset) != (1.0, 0.0):
+        raise HeightmapError(
+            f"the DataArray is stored with the scale {scale:g} and the offset {offset:g}: decode it "
+            "(`xarray.decode_cf`, or `mask_and_scale=True`)"
+        )
 
 
 def grid_of(array: Any) -> Grid:

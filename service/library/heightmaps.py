@@ -19,7 +19,7 @@ from joulemap.model.terrain.coordinate_systems import crs_name
 from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import read_heightmap
-from joulemap.service.library.data_array import grid_of
+from joulemap.service.library.data_array import grid_of, nodata_of, refuse_other_units, says_where
 from joulemap.service.library.run_files import RunsLike, read_runs
 
 GroundLike = Any
@@ -72,7 +72,10 @@ def heightmap(
     >>> jm.heightmap(np.zeros((40, 60)), resolution_m=0.5).frame.bounds
     (0.0, 0.0, 30.0, 20.0)
     """
-    if hasattr(heights, "coords") and hasattr(heights, "dims"):
+    if hasattr(heights, "attrs") and hasattr(heights, "encoding"):
+        refuse_other_units(heights)
+        nodata = nodata_of(heights) if nodata is None else nodata
+    if says_where(heights):
         if resolution_m is not None or west_m != 0.0 or north_m is not None:
             raise HeightmapError("a DataArray says where it lies: leave out resolution_m, west_m and north_m")
         grid = grid_of(heights)

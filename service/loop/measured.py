@@ -89,7 +89,7 @@ def _joined(parts: Sequence[_Part]) -> Residuals:
 
 def _each(predictor: Predictor, robot: Robot, driven: _Driven, *, least: int = LEAST_SEGMENTS) -> list[_Part]:
     """Residuals of each site; `least` segments are asked of all sites together."""
-    check_units([(segments, robot) for _, segments in driven if len(segments)])
+    check_units([(segments, robot) for _, segments in driven])
     if len(driven) == 1:
         return [residuals_on(predictor, driven[0][0], robot, driven[0][1], least=least)]
     parts = []

@@ -38,7 +38,9 @@ def meaning_of(field: Field) -> str:
 
 def is_place(value: Field) -> bool:
     """Whether a field holds the coordinates of one place."""
-    return value.get("type") == "array" and value_of(value["items"])["type"] == "number" and "maxItems" in value
+    return (
+        value.get("type") == "array" and value_of(value["items"])["type"] == "number" and value.get("minItems", 0) > 1
+    )
 
 
 def _resolved(node: Any, known: Mapping[str, Any]) -> Any:

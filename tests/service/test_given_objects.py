@@ -116,3 +116,31 @@ def test_a_wrong_name_of_a_robot_is_hinted_at() -> None:
 
 def test_only_public_names_are_listed() -> None:
     assert set(dir(jm)) == {*jm.__all__, "__version__"}
+
+
+def test_a_data_array_without_coordinates_is_an_array() -> None:
+    heights = np.arange(12.0).reshape(3, 4)
+    plain = xarray.DataArray(heights, dims=("y", "x"))
+    with pytest.raises(HeightmapError, match="give resolution_m"):
+        jm.heightmap(plain)
+    made = jm.heightmap(plain, resolution_m=0.5)
+    np.testing.assert_array_equal(made.heights, heights)
+    assert made.resolution_m == 0.5
+
+
+def test_what_a_data_array_declares_of_its_values_holds() -> None:
+    heights = np.ones((3, 4))
+    heights[1, 2] = -9999.0
+    where = {"y": [2.5, 1.5, 0.5], "x": [0.5, 1.5, 2.5, 3.5]}
+    given = xarray.DataArray(heights, coords=where, dims=("y", "x"), attrs={"_FillValue": -9999.0, "units": "m"})
+    assert np.isnan(jm.heightmap(given).heights).sum() == 1
+    with pytest.raises(HeightmapError, match="heights in 'feet': convert them"):
+        jm.heightmap(given.assign_attrs(units="feet"))
+    with pytest.raises(HeightmapError, match=r"with the scale 0\.01"):
+        jm.heightmap(given.assign_attrs(scale_factor=0.01))
+
+
+@pytest.mark.parametrize("seed", [-5, 10**30])
+def test_a_seed_that_no_sampler_takes_is_refused(flat: jm.CostMap, seed: int) -> None:
+    with pytest.raises(InputError, match=r"`seed` must lie in 0\.\.2147483647"):
+        flat.plan(START, GOAL, planner="bitstar", seed=seed, time_limit_s=0.1)

@@ -73,6 +73,11 @@ def test_one_run_of_many_may_be_circles_on_the_spot():
         check_units([(driven(), ROBOT), (circles, ROBOT), (circles, ROBOT)])
 
 
+def test_runs_without_any_segment_have_no_units_to_judge():
+    check_units([(driven(rows=10), ROBOT)])
+    check_units([])
+
+
 def test_degrees_exchanged_on_a_map_of_a_whole_world_crs_are_seen_too():
     lat = 48.0 + 1e-5 * np.arange(60)  # a metre of the ground and 1.5 m of EPSG:3857 a row
     x, y = projected(lat, np.full(60, 9.7), "EPSG:3857")
