@@ -254,79 +254,40 @@ class RoutePlanner:
         NegativeCycleError
             If driving in a circle would fill the battery.
         """
-        how: dict[str, Any] = {
-            "planner": planner,
-            "neighbours": neighbours,
-            "refine": refine,
-            "time_limit_s": time_limit_s,
-            "seed": seed,
-            "from_grid": from_grid,
-            "alternatives": alternatives,
-            "bound": bound,
-            "progress": progress,
-        }
-        notes: list[str] = []
-        try:
-            return self._planned(start_xy, goal_xy, notes, snap=snap, **how)
-        except NoRouteError:
-            near = self._reachable_near(start_xy, goal_xy) if snap else None
-            if near is None:
-                raise
-            x, y, away_m = near
-            words = (
-                f"the goal cannot be reached and was moved to the nearest place that can, ({x:.2f}, {y:.2f}), "
-                f"{away_m:.2f} m away"
-            )
-            return self._planned(start_xy, (x, y), [words], snap=True, **how)
-
-    def _reachable_near(
-        self, start_xy: tuple[float, float], goal_xy: tuple[float, float]
-    ) -> tuple[float, float, float] | None:
-        """World x, y [m] of the cell centre nearest to a goal that the start leads to, and its distance [m]."""
-        lattice = self.lattice
-        start = self._end("start", start_xy, [], True)
-        there = np.isfinite(field_from(lattice, self._table(ANY_ANGLE_NEIGHBOURS, distance=False), start).energy_j)
-        cells = np.argwhere(there & free_places(lattice))
-        if not len(cells):
-            return None
-        goal = np.array(lattice.frame.rowcol(*goal_xy))
-        x, y = (float(value) for value in lattice.frame.xy(*cells[np.argmin(np.hypot(*(cells - goal).T))]))
-        return x, y, math.dist((x, y), goal_xy)
-
-    def _planned(
-        self,
-        start_xy: tuple[float, float],
-        goal_xy: tuple[float, float],
-        notes: list[str],
-        *,
-        planner: str,
-        neighbours: int,
-        refine: bool,
-        time_limit_s: float,
-        seed: int,
-        from_grid: bool,
-        alternatives: int,
-        snap: bool,
-        bound: bool,
-        progress: Callable[[float], None] | None,
-    ) -> Plan:
         asked = planner_named(planner)
         check_neighbours(neighbours)
         lattice = self.lattice
+        notes: list[str] = []
         start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
         began = time.perf_counter()
         if refine:
             neighbours = max(neighbours, ANY_ANGLE_NEIGHBOURS)
-        if refine and not asked.uses_time_limit:
-            shortest, (points, found) = both(
-                lambda: self._shortest(start, goal, neighbours, refine), lambda: self._best(start, goal)
-            )
-        else:
-            shortest = self._shortest(start, goal, neighbours, refine)
+
+        def _found(goal: Points) -> tuple[Points, Points, dict[str, Any]]:
+            """The shortest way, the best one, and details."""
+            if refine and not asked.uses_time_limit:
+                way, (best, details) = both(
+                    lambda: self._shortest(start, goal, neighbours, refine), lambda: self._best(start, goal)
+                )
+                return way, best, details
+            way = self._shortest(start, goal, neighbours, refine)
             table = self._table(neighbours, distance=False)
             options = Options(time_limit_s, seed, from_grid, progress)
-            points, found = asked.search(lattice, table, start, goal, options)
-            points = improved(lattice, points) if refine else points
+            best, details = asked.search(lattice, table, start, goal, options)
+            return way, improved(lattice, best) if refine else best, details
+
+        try:
+            shortest, points, found = _found(goal)
+        except NoRouteError:
+            if not snap or (near := self._reachable_near(start, goal)) is None:
+                raise
+            x, y = lattice.frame.xy(*near)
+            notes.append(
+                f"the goal cannot be reached and was moved to the nearest place that can, ({x:.2f}, {y:.2f}), "
+                f"{math.dist((x, y), goal_xy):.2f} m away"
+            )
+            goal = near
+            shortest, points, found = _found(goal)
         if lattice.robot.turn_j_per_rad > 0.0 and not asked.weighs_turning:
             notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
         details: dict[str, Any] = {"planner": planner, "neighbours": neighbours, "refined": refine, **found}
@@ -354,6 +315,13 @@ class RoutePlanner:
             notes += margin_notes(lattice, ways[0])
         route, *rest = (self._route(way, notes) for way in ways)
         return Plan(route, self._route(shortest, notes), planner, details, tuple(rest), bound_j)
+
+    def _reachable_near(self, start: Points, goal: Points) -> Points | None:
+        """The cell centre nearest to a goal that the start leads to; both are fractional (row, col), (2,)."""
+        lattice = self.lattice
+        there = np.isfinite(field_from(lattice, self._table(ANY_ANGLE_NEIGHBOURS, distance=False), start).energy_j)
+        cells = np.argwhere(there & free_places(lattice)).astype(np.float64)
+        return cells[np.argmin(np.hypot(*(cells - goal).T))] if len(cells) else None
 
     def energies_towards(self, goal_xy: tuple[float, float], *, name: str = "goal") -> NDArray[np.float32]:
         """Return the least energy from every cell to one place, over grid moves.

@@ -119,6 +119,7 @@ def test_pages_on_adding_one_more_have_tests_of_their_own() -> None:
         "add-a-heightmap-format",
         "add-a-log-format",
         "add-a-model",
+        "add-a-path-option",
         "add-a-planner",
         "add-an-effect",
     ]

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from joulemap.service.http.asked import answer_of
 from joulemap.service.http.quick_json import parsed
-from joulemap.service.schemas.planning import FeasibilityRequest
+from joulemap.service.questions.feasibility import FeasibilityRequest
 from tests.service.conftest import GOAL, START
 
 MANY = [[500_000.0 + k, 4_000_000 + k] for k in range(1_500)]

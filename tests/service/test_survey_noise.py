@@ -16,6 +16,8 @@ from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.cli import app
 
 NOISE_M = 0.05
+ROBOT = {"wheel_radius_m": 0.4}
+"""Its wheels roll over what the noise of the survey looks like."""
 
 
 @pytest.fixture(scope="module")
@@ -28,13 +30,16 @@ def surveys(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     frame = GridFrame(0.0, 30.0, 0.25, 120, 120)
     for name, heights in (("clean", hill), ("noisy", hill + noise)):
         write_geotiff(folder / f"{name}.tif", Heightmap(heights.astype(np.float32), frame))
+    (folder / "robot.toml").write_text("".join(f"{key} = {value}\n" for key, value in ROBOT.items()))
+    (folder / "small.toml").write_text("wheel_radius_m = 0.127\n")
     return {name: folder / f"{name}.tif" for name in ("clean", "noisy")}
 
 
-def made(survey: Path, *options: str) -> tuple[dict, str]:
+def made(survey: Path, *options: str, robot: str = "robot.toml") -> tuple[dict, str]:
     """The document of `joulemap costmap` and what it prints."""
     out = survey.with_suffix(".json")
     command = ["costmap", str(survey), "--out", str(survey.with_suffix(".zarr")), "--overwrite", "--json", str(out)]
+    command += ["--robot", str(survey.with_name(robot))]
     done = CliRunner().invoke(app, [*command, *options])
     assert done.exit_code == 0, done.output
     return json.loads(out.read_text(encoding="utf-8")), " ".join(done.output.split())
@@ -48,7 +53,8 @@ def test_the_command_takes_the_noise_out_and_says_so(surveys):
     assert as_it_is["energy_per_m"]["mean"] > 1.5 * mean
     assert noisy[0]["provenance"]["heightmap"]["noise_m"] == pytest.approx(NOISE_M, rel=0.1)
     assert "the map's heights are uncertain by about 5" in noisy[1]
-    assert "Steps of up to" in noisy[1]
+    assert "Steps of up to" not in noisy[1]
+    assert "Steps of up to" in made(surveys["noisy"], robot="small.toml")[1]  # such as its wheels do not climb
     assert not any("uncertain" in warning for warning in clean["warnings"] + as_it_is["warnings"])
 
 
@@ -59,13 +65,15 @@ def test_noise_with_a_length_is_told_on_the_command_line_in_python_and_over_http
     assert (
         told["energy_per_m"]["mean"] > white["energy_per_m"]["mean"]
     )  # this noise is white: more of it is taken for ground
-    lattice = jm.costmap(jm.read_heightmap(surveys["noisy"], noise_m=0.05, noise_length_m=0.5)).lattice
+    lattice = jm.costmap(jm.read_heightmap(surveys["noisy"], noise_m=0.05, noise_length_m=0.5), ROBOT).lattice
     assert np.nanmean(np.maximum(lattice.traction_per_m, 0.0)) > 0.0
     assert lattice.provenance["heightmap"]["noise_length_m"] == 0.5
     files = {"file": ("dem.tif", surveys["noisy"].read_bytes())}
     kept = client.post("/v1/heightmaps", files=files, data={"noise_m": 0.05, "noise_length_m": 0.5}).json()
     assert (kept["noise_m"], kept["noise_length_m"]) == (0.05, 0.5)
-    done = client.post("/v1/costmaps", json={"heightmap_id": kept["id"]}, headers={"Prefer": "wait=300"}).json()
+    done = client.post(
+        "/v1/costmaps", json={"heightmap_id": kept["id"], "robot": ROBOT}, headers={"Prefer": "wait=300"}
+    ).json()
     assert done["energy_per_m"]["mean"] == pytest.approx(told["energy_per_m"]["mean"], rel=1e-4)
     alone = client.post("/v1/heightmaps", files=files, data={"noise_length_m": 0.5})
     assert alone.status_code == 422
@@ -92,8 +100,11 @@ def test_noise_that_cannot_be_is_refused(surveys):
 def test_python_says_the_noise_and_prices_the_ground_without_it(surveys):
     ground = jm.read_heightmap(surveys["noisy"])
     assert ground.noise_m == pytest.approx(NOISE_M, rel=0.1)
-    told = jm.costmap(jm.read_heightmap(surveys["noisy"], noise_m=0.0)).lattice
-    assert jm.costmap(ground).lattice.traction_per_m[5:-5, 5:-5].mean() < told.traction_per_m[5:-5, 5:-5].mean() / 1.5
+    told = jm.costmap(jm.read_heightmap(surveys["noisy"], noise_m=0.0), ROBOT).lattice
+    assert (
+        jm.costmap(ground, ROBOT).lattice.traction_per_m[5:-5, 5:-5].mean()
+        < told.traction_per_m[5:-5, 5:-5].mean() / 1.5
+    )
 
 
 def test_a_service_keeps_the_noise_beside_the_map(client, surveys):
@@ -104,7 +115,7 @@ def test_a_service_keeps_the_noise_beside_the_map(client, surveys):
         return answer.json()
 
     def map_of(heightmap: dict) -> dict:
-        wish = {"heightmap_id": heightmap["id"]}
+        wish = {"heightmap_id": heightmap["id"], "robot": ROBOT}
         made = client.post("/v1/costmaps", json=wish, headers={"Prefer": "wait=300"}).json()
         assert made["status"] == "done", made
         return made
