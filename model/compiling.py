@@ -18,6 +18,10 @@ class _Notice(event.Listener):
         self._taken_s = 0.0
         self._said = False
 
+    def silence(self) -> None:
+        """Say nothing: somebody has said it."""
+        self._said = True
+
     def on_start(self, event: event.Event) -> None:
         if self._said:
             return
@@ -35,6 +39,10 @@ class _Notice(event.Listener):
             self._taken_s += time.perf_counter() - self._began
 
 
+NOTICE = _Notice()
+"""That of this process."""
+
+
 def say_when_compiling() -> None:
     """Say so in this process when kernels are compiled."""
-    event.register("numba:compile", _Notice())
+    event.register("numba:compile", NOTICE)

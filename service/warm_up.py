@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from joulemap.model.compiling import NOTICE
 from joulemap.model.errors import NoRouteError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
@@ -32,6 +33,7 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
     from joulemap.planner.route_planner import PLANNERS, RoutePlanner
     from joulemap.planner.stored_planner import StoredPlanner
 
+    NOTICE.silence()
     began = time.perf_counter()
     heightmap = _small_map()
     heightmap.sample([5.0], [5.0])
