@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 ANGLES = ("heading", "yaw")
-"""Columns of angles [deg]; the zero and the sense of `yaw` are not told."""
+"""Columns of angles [deg]; `yaw` has no stated zero or sense."""
 RATES = ("yaw_rate", "gyro_z", "gyr_z", "angular_velocity_z", "wz", "turn_rate")
 """Columns of the rate of turning, in rad/s or deg/s, to either side."""
 

@@ -72,7 +72,7 @@ def _text_of(crs: Any) -> str:
         return crs
     if isinstance(crs, int):
         return f"EPSG:{crs}"
-    for version in ("WKT1_GDAL", "WKT2_2019"):  # the first names grids where they can be told apart
+    for version in ("WKT1_GDAL", "WKT2_2019"):  # the first writes out the grids of a datum
         try:
             if text := crs.to_wkt(version=version):
                 return str(text)

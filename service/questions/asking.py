@@ -50,7 +50,7 @@ def asks(request: type[OnMap], *without: str) -> Callable[[Callable[..., Answer]
                 bound = signature.bind(*args, **given).arguments
             except TypeError as error:
                 raise TypeError(f"{method.__name__}() {error}") from None
-            wanted = request.told(**{name: bound.pop(name) for name in fields if name in bound})
+            wanted = request.unchecked(**{name: bound.pop(name) for name in fields if name in bound})
             return method(bound.pop(me.name), wanted, **bound)
 
         _method.__signature__ = signature  # type: ignore[attr-defined]

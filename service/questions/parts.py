@@ -28,7 +28,7 @@ class OnMap(Request):
     robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
 
     @classmethod
-    def told(cls, **values: Any) -> Self:
+    def unchecked(cls, **values: Any) -> Self:
         """A question that was asked in this process: its values are checked where they are used, as everywhere in it.
 
         A battery may be a `Battery` or a mapping too.

@@ -29,15 +29,12 @@ def with_tag(tiff: bytes, tag: int, value: int) -> bytes:
     raise AssertionError(f"the file has no tag {tag}")
 
 
-@pytest.mark.parametrize("tag", [_PLANAR_CONFIGURATION, 258, 259, 277, 322, 323, 339])
+@pytest.mark.parametrize("tag", [_PLANAR_CONFIGURATION, 258, 259, 277, 339])
 @pytest.mark.parametrize("value", [0, 9, 60_000])
 def test_broken_tags(
     client: TestClient, tmp_path_factory: pytest.TempPathFactory, hill_tif: bytes, tag: int, value: int
 ) -> None:
-    try:
-        sent = with_tag(hill_tif, tag, value)
-    except AssertionError:
-        pytest.skip("not in this file")
+    sent = with_tag(hill_tif, tag, value)
     answer = client.post("/v1/heightmaps", files={"file": ("hill.tif", sent)})
     if answer.is_success:
         return
