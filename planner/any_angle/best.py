@@ -30,6 +30,7 @@ from joulemap.planner.pricing.integrator import (
     margin_cells,
     metres_within_margin,
     path_price,
+    within_margin,
 )
 from joulemap.planner.pricing.kernels import path_energy
 from joulemap.planner.pricing.moves import MoveTable
@@ -161,9 +162,22 @@ def _cheapest_in(
     known = shortcuts(prices, known)
     turning = prices.turn_j_per_rad > 0.0
     parts = CLOSED_PARTS if closed or turning else OPEN_PARTS
-    found = cheapest_over_line_points(lattice, prices, cells, known[0], known[-1], parts=parts, typical_j=typical_j)
-    paths = [found, known] if len(found) and turning else [found] if len(found) else [known]
-    return min([known, *(_moved(prices, path) for path in paths)], key=lambda path: path_energy(*prices, path))
+
+    def _cheapest(prices: Prices) -> Points:
+        found = cheapest_over_line_points(lattice, prices, cells, known[0], known[-1], parts=parts, typical_j=typical_j)
+        paths = [found, known] if len(found) and turning else [found] if len(found) else [known]
+        return min([known, *(_moved(prices, path) for path in paths)], key=lambda path: path_energy(*prices, path))
+
+    path = _cheapest(prices)
+    if any_closed and _squeezes(lattice, path, known):
+        return _cheapest(driven_prices(lattice, typical_j, penalty=MARGIN_PENALTY))
+    return path
+
+
+def _squeezes(lattice: CostLattice, path: Points, known: Points) -> bool:
+    """Whether a path goes through more ground within the margin than a known one by more than its own approaches."""
+    parts = within_margin(lattice, known)
+    return sum(within_margin(lattice, path)) > sum(parts) + 2.0 * len(parts) * margin_cells(lattice)
 
 
 def _moved(prices: Prices, points: Points) -> Points:

@@ -24,9 +24,11 @@ Points = NDArray[np.float64]
 LEAST_MARGIN_CELLS, MOST_MARGIN_CELLS = 0.5, 3.0
 """Least and largest margin to ground that may not be driven, for a robot that does not keep to its path exactly. Within
 a wider one every leg would take long to price; a coarser map keeps it."""
-MARGIN_PENALTY = 10.0
-"""A leg within the margin counts as if it were so much longer: the margin is given up only where keeping it would
-cost more."""
+MARGIN_PENALTY, SHAPE_PENALTY = 10.0, 1.0
+"""A leg within the margin counts as if it were so much longer: a move where passages are chosen between, over the grid,
+and a leg where the path's shape is. A half circle around a corner is 0.57 diameters longer than the way through, so a
+shape keeps the margin at any penalty above; much above, metres are bought that leave a door narrower than the margin a
+little sooner."""
 
 
 def price_terms(lattice: CostLattice) -> NDArray[np.float64]:
@@ -117,7 +119,7 @@ def exact_prices(lattice: CostLattice) -> Prices:
     return Prices(*price_arrays(lattice), lattice.robot.turn_j_per_rad)
 
 
-def driven_prices(lattice: CostLattice, cell_j: float) -> Prices:
+def driven_prices(lattice: CostLattice, cell_j: float, *, penalty: float = SHAPE_PENALTY) -> Prices:
     """Return the prices of paths as the robot will drive them: with an error to the sides, and a margin.
 
     Parameters
@@ -126,6 +128,8 @@ def driven_prices(lattice: CostLattice, cell_j: float) -> Prices:
         Prices and limits.
     cell_j : float
         Energy of a typical cell's length [J].
+    penalty : float, optional
+        Of a leg within the margin, in lengths.
 
     Returns
     -------
@@ -137,28 +141,24 @@ def driven_prices(lattice: CostLattice, cell_j: float) -> Prices:
     if margin > 0.0:
         std = lattice.robot.tracking_std_m / lattice.frame.resolution_m
         weight = min(0.5 * (std / margin) ** 2, 1.0 / 3.0)  # at most the plain mean of the three legs
-        prices.terms[6:] = margin, weight, MARGIN_PENALTY * cell_j
+        prices.terms[6:] = margin, weight, penalty * cell_j
     return prices
 
 
 def metres_within_margin(lattice: CostLattice, points: Points) -> float:
-    """Return how much of a polyline is nearer to ground that may not be driven than the robot's margin.
+    """Return how much of a (row, col) polyline is within the robot's margin [m], see `within_margin`."""
+    return sum(within_margin(lattice, points)) * lattice.frame.resolution_m
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
 
-    Returns
-    -------
-    float
-        Length of its legs, cut to half a cell, beside which a leg at the margin may not be driven [m].
+def within_margin(lattice: CostLattice, points: Points) -> list[float]:
+    """Return the lengths of the stretches of a (row, col) polyline that are within the robot's margin [cells].
+
+    They are nearer to ground that may not be driven: of the legs, cut to half a cell, those beside or ahead of which a
+    leg at the margin may not be driven.
     """
     margin = margin_cells(lattice)
     if margin == 0.0 or len(points) < 2:
-        return 0.0
+        return []
     length = np.hypot(*np.diff(points, axis=0).T)
     pieces = np.maximum(1, np.ceil(2.0 * length - 1e-9)).astype(int)
     leg = np.repeat(np.arange(pieces.size), pieces)
@@ -173,7 +173,8 @@ def metres_within_margin(lattice: CostLattice, points: Points) -> float:
         closed |= np.isnan(
             leg_prices_between(lattice, starts + shift * side - ahead, starts + step + shift * side + ahead)
         )
-    return float(np.hypot(*step[closed].T).sum()) * lattice.frame.resolution_m
+    stretch = np.cumsum(np.diff(closed, prepend=False) & closed)
+    return np.bincount(stretch[closed], np.hypot(*step[closed].T))[1:].tolist() if closed.any() else []
 
 
 def world_points(lattice: CostLattice, xy: ArrayLike) -> Points:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import joulemap as jm
 from joulemap.model.errors import NoRouteError
 from joulemap.model.robot import Robot
 from joulemap.planner.any_angle.best import best_path
@@ -109,3 +110,15 @@ def test_the_price_of_a_driven_leg_is_the_mean_of_three_side_by_side(std, spacin
     weight = min(0.5 * (std / spacing / margin) ** 2, 1.0 / 3.0)
     expected = exact + weight * (share * sum(beside) - 2.0 * exact)
     assert path_energy(*driven_prices(lattice, 10.0), leg) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(("door", "clearance_m"), [(13, 0.0), (14, 0.0), (16, 0.05)])
+def test_a_door_narrower_than_the_margin_is_driven_through_without_a_detour(door, clearance_m):
+    heights = np.zeros((160, 160), dtype=np.float32)
+    heights[78:82] = 1.0
+    heights[78:82, 80 - door // 2 : 80 - door // 2 + door] = 0.0
+    robot = jm.Robot(name="box", width_m=0.5, length_m=0.8, wheel_radius_m=0.06, clearance_m=clearance_m)
+    costmap = jm.costmap(jm.heightmap(heights, resolution_m=0.05), robot=robot, model="physics", spacing_m=0.1)
+    route = costmap.plan((4.0, 1.5), (4.0, 6.5))
+    assert "nearer than 0.3 m" in " ".join(route.notes)
+    assert route.energy_j < 1.015 * route.shortest.energy_j
