@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -42,37 +42,32 @@ class Wire:
 
     def __init__(self, port: int) -> None:
         self._port, self.cut = port, False
-        self._socket = socket.create_server(("127.0.0.1", 0))
-        self.url = f"http://127.0.0.1:{self._socket.getsockname()[1]}"
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._loop = asyncio.new_event_loop()
+        threading.Thread(target=self._loop.run_forever, daemon=True).start()
+        server = asyncio.start_server(self._join, "127.0.0.1", 0)
+        self._server = asyncio.run_coroutine_threadsafe(server, self._loop).result(10.0)
+        self.url = f"http://127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
 
-    def _accept(self) -> None:
-        with suppress(OSError):  # until it is closed
-            while True:
-                near, _ = self._socket.accept()
-                self._join(near)
-
-    def _join(self, near: socket.socket) -> None:
+    async def _join(self, near: asyncio.StreamReader, to_near: asyncio.StreamWriter) -> None:
         """Pass on what comes and goes; one connection that fails leaves the way open for the next."""
         try:
             if self.cut:
                 raise ConnectionError("the way is cut")
-            far = socket.create_connection(("127.0.0.1", self._port))
+            far, to_far = await asyncio.open_connection("127.0.0.1", self._port)
         except OSError:
-            near.close()
+            to_near.close()
             return
-        for one, other in ((near, far), (far, near)):
-            threading.Thread(target=self._pass, args=(one, other), daemon=True).start()
+        await asyncio.gather(self._pass(near, to_far), self._pass(far, to_near))
 
-    def _pass(self, one: socket.socket, other: socket.socket) -> None:
-        with suppress(OSError), one, other:
-            while (data := one.recv(1 << 16)) and not self.cut:
-                other.sendall(data)
-            for each in (one, other):  # the other thread may wait for it
-                each.shutdown(socket.SHUT_RDWR)
+    async def _pass(self, one: asyncio.StreamReader, other: asyncio.StreamWriter) -> None:
+        with suppress(OSError):
+            while (data := await one.read(1 << 16)) and not self.cut:
+                other.write(data)
+                await other.drain()
+        other.close()  # who reads from it sees its end, and ends too
 
     def close(self) -> None:
-        self._socket.close()
+        self._loop.call_soon_threadsafe(self._server.close)
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +181,7 @@ def _calibrates(front: TestClient, other: TestClient, hill_tif: bytes) -> None:
     assert "<html" in other.get(f"{place}/report.html").text
     model = other.get(place).json()["id"]
     costmap = other.post(
-        "/v1/costmaps", json={"heightmap_id": heightmap, "model": model, "headings": 8}, headers={"Prefer": "wait=100"}
+        "/v1/costmaps", json={"heightmap_id": heightmap, "model": model, "headings": 8}, headers={"Prefer": "wait=300"}
     ).json()
     assert costmap["status"] == "done", costmap
     answer = front.post(f"/v1/costmaps/{costmap['id']}/paths", json={"start": START, "goal": GOAL})
