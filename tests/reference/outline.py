@@ -9,6 +9,15 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 
+ROBOTS = (
+    (Robot(width_m=0.3, length_m=0.3, wheel_radius_m=0.05), 0.05, 0.1),
+    (Robot(), 0.05, 0.2),
+    (Robot(width_m=0.6, length_m=0.9, clearance_m=0.15, centre_ahead_m=0.2), 0.1, 0.2),
+    (Robot(width_m=1.2, length_m=2.4, wheel_radius_m=0.3, centre_ahead_m=0.6), 0.2, 0.4),
+    (Robot(width_m=2.0, length_m=4.0, wheel_radius_m=0.5), 0.5, 0.5),
+)
+"""Robots, with the cells of their survey and the spacing of their lattice [m]."""
+
 
 def collides(wall: NDArray[np.bool_], frame: GridFrame, robot: Robot, x: float, y: float, heading: float) -> bool:
     """Whether a centimetre of the outline and its clearance is on a wall, or off the map."""
@@ -62,3 +71,16 @@ def world_with_walls(
         wall |= np.hypot(x - cx, y - cy) < max(rng.uniform(0.1, 0.5) * scale, cells_m)
     hills = 0.02 * x + 0.2 * np.sin(5.0 * x / side) * np.cos(4.0 * y / side)
     return wall, Heightmap((hills + np.where(wall, scale, 0.0)).astype(np.float32), frame)
+
+
+def wall_with_door(
+    width_m: float, angle_deg: float, *, cells_m: float, side_m: float = 8.0, thick_m: float = 0.2
+) -> Heightmap:
+    """A wall of 1 m through the middle of level ground, with a door in its middle; at 0 deg it leads to the north."""
+    n = round(side_m / cells_m)
+    frame = GridFrame(0.0, side_m, cells_m, n, n)
+    x, y = (values - side_m / 2 for values in np.meshgrid(*frame.centres()))
+    angle = math.radians(angle_deg)
+    across, along = x * math.cos(angle) - y * math.sin(angle), x * math.sin(angle) + y * math.cos(angle)
+    wall = (np.abs(across) < thick_m / 2) & (np.abs(along) > width_m / 2)
+    return Heightmap(np.where(wall, 1.0, 0.0).astype(np.float32), frame)

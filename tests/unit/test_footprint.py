@@ -18,22 +18,11 @@ from joulemap.planner.lattice.tiles import Tiling
 from joulemap.planner.pricing.integrator import leg_prices
 from joulemap.planner.route_planner import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
-from tests.reference.outline import first_collision, world_with_walls
+from tests.reference.outline import ROBOTS, first_collision, wall_with_door, world_with_walls
 
 ANGLES_DEG = (0.0, 17.0, 31.0, 45.0, 68.0, 90.0)
 CELLS_M = 0.05
 SPACING_M = 0.1
-
-
-def wall_with_door(width_m: float, angle_deg: float, *, side_m: float = 8.0, thick_m: float = 0.2) -> Heightmap:
-    """A wall of 1 m through the middle of level ground, with a door in its middle; at 0 deg it leads to the north."""
-    n = round(side_m / CELLS_M)
-    frame = GridFrame(0.0, side_m, CELLS_M, n, n)
-    x, y = (values - side_m / 2 for values in np.meshgrid(*frame.centres()))
-    angle = math.radians(angle_deg)
-    across, along = x * math.cos(angle) - y * math.sin(angle), x * math.sin(angle) + y * math.cos(angle)
-    wall = (np.abs(across) < thick_m / 2) & (np.abs(along) > width_m / 2)
-    return Heightmap(np.where(wall, 1.0, 0.0).astype(np.float32), frame)
 
 
 def passes(heightmap: Heightmap, robot: Robot, angle_deg: float) -> bool:
@@ -58,8 +47,8 @@ def test_a_door_wider_than_the_robot_its_clearance_and_a_cell_is_found_and_a_nar
     robot = Robot(width_m=width_m, length_m=length_m, clearance_m=clearance_m, tracking_std_m=0.0)
     needed_m = width_m + 2.0 * clearance_m
     pixel_m = CELLS_M * (abs(math.cos(math.radians(angle_deg))) + abs(math.sin(math.radians(angle_deg))))  # of its rim
-    assert passes(wall_with_door(needed_m + SPACING_M + pixel_m, angle_deg), robot, angle_deg)
-    assert not passes(wall_with_door(needed_m - pixel_m, angle_deg), robot, angle_deg)
+    assert passes(wall_with_door(needed_m + SPACING_M + pixel_m, angle_deg, cells_m=CELLS_M), robot, angle_deg)
+    assert not passes(wall_with_door(needed_m - pixel_m, angle_deg, cells_m=CELLS_M), robot, angle_deg)
 
 
 def test_a_leg_is_open_exactly_where_the_rectangle_fits():
@@ -92,16 +81,7 @@ def test_a_leg_is_open_exactly_where_the_rectangle_fits():
             assert is_open(x0 - 0.05 * math.sin(a), 4.0 - 0.05 * math.cos(a), x0, 4.0) == free
 
 
-@pytest.mark.parametrize(
-    ("robot", "cells_m", "spacing_m"),
-    [
-        (Robot(width_m=0.3, length_m=0.3, wheel_radius_m=0.05), 0.05, 0.1),
-        (Robot(), 0.05, 0.2),
-        (Robot(width_m=0.6, length_m=0.9, clearance_m=0.15, centre_ahead_m=0.2), 0.1, 0.2),
-        (Robot(width_m=1.2, length_m=2.4, wheel_radius_m=0.3, centre_ahead_m=0.6), 0.2, 0.4),
-        (Robot(width_m=2.0, length_m=4.0, wheel_radius_m=0.5), 0.5, 0.5),
-    ],
-)
+@pytest.mark.parametrize(("robot", "cells_m", "spacing_m"), ROBOTS)
 def test_no_pose_of_a_route_meets_a_wall(robot, cells_m, spacing_m):
     rng = np.random.default_rng(11)
     wall, heightmap = world_with_walls(rng, robot, cells_m=cells_m, spacing_m=spacing_m)
@@ -121,7 +101,7 @@ def test_no_pose_of_a_route_meets_a_wall(robot, cells_m, spacing_m):
 
 
 def test_stored_and_read_again_it_is_the_same(tmp_path):
-    heightmap = wall_with_door(0.9, 17.0)
+    heightmap = wall_with_door(0.9, 17.0, cells_m=CELLS_M)
     robot = Robot()
     tiling = Tiling.of(heightmap.frame, spacing_m=SPACING_M, headings=8, side=16)
     write_lattice(tmp_path / "a.zarr", heightmap, robot, PhysicsPredictor(), tiling)
