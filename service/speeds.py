@@ -1,8 +1,9 @@
-"""What a route costs at other speeds: the cheapest cruising speed, and energy against time."""
+"""What a route costs at other speeds: the cheapest one, energy against time, and a speed for each stretch."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from joulemap.model.terrain.windows import Ground
 from joulemap.planner.grid.stopping import check_stop
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.tiles import ground_of
+from joulemap.planner.objectives.speed_profile import SpeedProfile, speed_profile
 from joulemap.planner.route import Route
 from joulemap.planner.verdict.trajectory import course_of
 from joulemap.planner.words import duration_words, energy_words
@@ -67,6 +69,8 @@ class Speeds:
         Where the range of speeds comes from.
     at_border : str or None
         "slowest" or "fastest" where the cheapest speed is at the border of what the model knows.
+    profile : SpeedProfile or None
+        A speed for each stretch, where that was asked for; turns included.
     """
 
     curve: tuple[AtSpeed, ...]
@@ -74,6 +78,7 @@ class Speeds:
     declared: AtSpeed | None
     source: str
     at_border: str | None
+    profile: SpeedProfile | None = None
 
     def __str__(self) -> str:
         best = self.cheapest
@@ -82,13 +87,20 @@ class Speeds:
         )
         if self.at_border is not None:
             words += f" (the {self.at_border} speed that the model knows: {self.source})"
-        if self.declared is None:
+        if self.declared is not None:
+            own = self.declared
+            more = own.energy_j / best.energy_j - 1.0 if best.energy_j > 0.0 else 0.0
+            words += (
+                f"; at the declared {own.speed_mps:.2f} m/s it takes {energy_words(own.energy_j)} ({more:.1%} more) "
+                f"and {duration_words(own.duration_s)}"
+            )
+        if self.profile is None:
             return words
-        own = self.declared
-        more = own.energy_j / best.energy_j - 1.0 if best.energy_j > 0.0 else 0.0
+        low, high = min(self.profile.speed_mps), max(self.profile.speed_mps)
+        span = f"{low:.2f} m/s" if low == high else f"{low:.2f} to {high:.2f} m/s"
         return (
-            f"{words}; at the declared {own.speed_mps:.2f} m/s it takes {energy_words(own.energy_j)} ({more:.1%} more) "
-            f"and {duration_words(own.duration_s)}"
+            f"{words}; with a speed for each stretch, {span}: {energy_words(self.profile.energy_j)}, "
+            f"{duration_words(self.profile.duration_s)}"
         )
 
 
@@ -129,8 +141,18 @@ def known_speeds(predictor: Predictor, robot: Robot) -> tuple[float, float, str]
     return low, high, source
 
 
-def speeds_along(route: Route, lattice: CostLattice, ground: Ground, predictor: Predictor) -> Speeds:
+def speeds_along(
+    route: Route,
+    lattice: CostLattice,
+    ground: Ground,
+    predictor: Predictor,
+    *,
+    by_stretch: bool = False,
+    deadline_s: float | None = None,
+) -> Speeds:
     """Return what a route costs at the speeds that a model knows.
+
+    `by_stretch`: also find a speed for each stretch, within `deadline_s` [s] where that is given.
 
     E(v) = sum over the metres of the route of price(traction(v), idle / v), and the turns: what a cost map for a robot
     of this speed would say, but for its interpolation between cells.
@@ -166,7 +188,8 @@ def speeds_along(route: Route, lattice: CostLattice, ground: Ground, predictor: 
     border = "slowest" if best.speed_mps == curve[0].speed_mps else "fastest"
     at_border = border if best.speed_mps in (curve[0].speed_mps, curve[-1].speed_mps) else None
     declared = own if low <= robot.speed_mps <= high else None
-    return Speeds(tuple(curve), best, declared, source, at_border)
+    found = metres.profile(np.linspace(low, high, SPEEDS), deadline_s) if by_stretch or deadline_s is not None else None
+    return Speeds(tuple(curve), best, declared, source, at_border, found)
 
 
 class _Metres:
@@ -183,7 +206,25 @@ class _Metres:
     def at(self, speeds_mps: NDArray[np.float64]) -> list[AtSpeed]:
         """The route at each of some speeds."""
         robots = [replace(self._lattice.robot, speed_mps=float(v)) for v in speeds_mps]
-        energy, known_m = np.zeros(len(robots)), np.zeros(len(robots))
+        traction, length = self._tractions(robots), float(self._driven.sum())
+        price = np.stack([robot.price_per_m(row) for robot, row in zip(robots, traction, strict=True)])
+        known = np.isfinite(price)  # at an edge the lattice may know more, between its cells
+        energy = np.nansum(price * self._driven, axis=1) / (known @ self._driven) * length + self._turning_j
+        return [AtSpeed(float(v), float(e), length / float(v)) for v, e in zip(speeds_mps, energy, strict=True)]
+
+    def profile(self, speeds_mps: NDArray[np.float64], deadline_s: float | None) -> SpeedProfile:
+        """A speed for each stretch; pieces that the model does not know cost what those beside them do."""
+        robot = self._lattice.robot
+        traction = self._tractions([replace(robot, speed_mps=float(v)) for v in speeds_mps])
+        at = np.cumsum(self._driven)
+        for row in traction:
+            row[:] = np.interp(at, at[known := np.isfinite(row)], row[known])
+        found = speed_profile(traction, self._driven, speeds_mps, robot, deadline_s=deadline_s)
+        return replace(found, energy_j=found.energy_j + self._turning_j)
+
+    def _tractions(self, robots: Sequence[Robot]) -> NDArray[np.float64]:
+        """Traction of every piece for every robot, (robots, n) [J/m]; NaN where the model knows nothing."""
+        out = np.empty((len(robots), self._driven.size))
         for first in range(0, self._driven.size, _STRETCH):
             check_stop()
             part = slice(first, first + _STRETCH)
@@ -191,16 +232,12 @@ class _Metres:
             heights = ground_of(self._ground, _window(self._lattice, ends), self._lattice.robot)
             x, y = (0.5 * (ends[1:] + ends[:-1])).T
             for k, robot in enumerate(robots):
-                traction = self._predictor.segment_traction(heights, robot, x, y, self._heading[part])
-                price = robot.price_per_m(traction)
-                known = np.isfinite(price)  # at an edge the lattice may know more, between its cells
-                energy[k] += float((price * self._driven[part])[known].sum())
-                known_m[k] += float(self._driven[part][known].sum())
-        length = float(self._driven.sum())
-        if not known_m.all():
-            raise InputError("the model knows nothing of the ground along this route", length_m=length)
-        energy = energy / known_m * length + self._turning_j
-        return [AtSpeed(float(v), float(e), length / float(v)) for v, e in zip(speeds_mps, energy, strict=True)]
+                out[k, part] = self._predictor.segment_traction(heights, robot, x, y, self._heading[part])
+        if not np.isfinite(out).any(axis=1).all():
+            raise InputError(
+                "the model knows nothing of the ground along this route", length_m=float(self._driven.sum())
+            )
+        return out
 
 
 def _window(lattice: CostLattice, ends: NDArray[np.float64]) -> GridFrame:

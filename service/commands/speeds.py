@@ -39,6 +39,8 @@ def speeds(
     `joulemap speeds dem.zarr dem.tif --start 12,40 --goal 180,95`
 
     `joulemap speeds dem.zarr dem.tif --path survey.geojson --model calibrated/ --json -`
+
+    `joulemap speeds dem.zarr dem.tif --start 12,40 --goal 180,95 --deadline 300`
     """
     from joulemap.model.terrain.readers import open_ground
     from joulemap.service.library.costmaps import open_costmap
@@ -75,5 +77,9 @@ def _say(output: Output, found: dict[str, Any]) -> None:
             for one in curve[::step]
         }
     )
+    if (profile := found["profile"]) is not None:
+        begins = [0.0, *profile["until_m"]]
+        shown = zip(begins, profile["until_m"], profile["speed_mps"], strict=False)
+        output.table({f"{begin:.0f} to {end:.0f} m": f"{speed:.2f} m/s" for begin, end, speed in shown})
     output.warn(found["warnings"])
     output.document(found)

@@ -151,8 +151,10 @@ class RouteQuestions(CostMapBase):
         heightmap: GroundLike,
         *,
         model: ModelLike = DEFAULT_MODEL,
+        by_stretch: bool = False,
+        deadline_s: float | None = None,
     ) -> Speeds:
-        """Give the cheapest cruising speed of a route, and its energy against its time.
+        """Give the cheapest cruising speed of a route, its energy against its time, and a speed for each stretch.
 
         Parameters
         ----------
@@ -162,6 +164,10 @@ class RouteQuestions(CostMapBase):
             What the cost map was made of.
         model : str, Path or Model, optional
             Of the cost map.
+        by_stretch : bool, optional
+            Also find a speed for each stretch, of least energy; changes of speed are paid for.
+        deadline_s : float, optional
+            Time in which the route is driven [s]; gives a speed for each stretch.
 
         Returns
         -------
@@ -182,4 +188,5 @@ class RouteQuestions(CostMapBase):
         from joulemap.service.library.models import model_folder
         from joulemap.service.speeds import speeds_along
 
-        return speeds_along(route, self.lattice, ground_of(heightmap), find_predictor(model_folder(model)))
+        made_of, predictor = ground_of(heightmap), find_predictor(model_folder(model))
+        return speeds_along(route, self.lattice, made_of, predictor, by_stretch=by_stretch, deadline_s=deadline_s)

@@ -24,6 +24,13 @@ class SpeedsRequest(OnRoute):
     path: GivenPath | None = Field(
         default=None, min_length=2, max_length=5_000, description="world points [m], in order"
     )
+    by_stretch: bool = Field(default=False, description="also find a speed for each stretch, of least energy")
+    deadline_s: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=1e7,
+        description="time for the route [s]; gives a speed for each stretch",
+    )
 
 
 class Found(NamedTuple):
@@ -44,7 +51,8 @@ def ask(planner: RoutePlanner, wanted: SpeedsRequest, ground: Ground, predictor:
     else:
         ends = asked.places(wanted.start, "start"), asked.places(wanted.goal, "goal")
         route, lattice = asked.planner.plan(*ends, snap=wanted.snap).route, asked.planner.lattice
-    return Found(speeds_along(route, lattice, ground, predictor), asked.places.noted(route))
+    found = speeds_along(route, lattice, ground, predictor, by_stretch=wanted.by_stretch, deadline_s=wanted.deadline_s)
+    return Found(found, asked.places.noted(route))
 
 
 def answer(found: Found, warnings: list[str]) -> SpeedsOut:

@@ -21,6 +21,15 @@ class AtSpeedOut(ResponseModel):
     duration_s: float = Field(description="time, turns on the spot not counted [s]")
 
 
+class SpeedProfileOut(ResponseModel):
+    """A speed for each stretch of the route."""
+
+    until_m: list[float] = Field(description="where each stretch ends, from the start [m]")
+    speed_mps: list[float] = Field(description="its speed [m/s]")
+    energy_j: float = Field(description="energy, idle power, changes of speed and turns included [J]")
+    duration_s: float = Field(description="time, turns on the spot not counted [s]")
+
+
 class SpeedsOut(ResponseModel):
     """Energy against time along one route, at the speeds that the model learned from."""
 
@@ -31,6 +40,7 @@ class SpeedsOut(ResponseModel):
     at_border: Literal["slowest", "fastest"] | None = Field(
         description="where the cheapest speed is at the border of what the model knows"
     )
+    profile: SpeedProfileOut | None = Field(description="a speed for each stretch; null where it was not asked for")
     source: str = Field(description="where the range of speeds comes from")
     length_m: float = Field(description="horizontal length of the route [m]")
     path: list[Point3] = Field(repr=False)
