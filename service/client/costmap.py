@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import httpx
 
-from joulemap.model.battery import Battery
 from joulemap.model.errors import BusyError, ConflictError
 from joulemap.model.frames import GridFrame
+from joulemap.service.areas_given import corners_of
 from joulemap.service.client.answers import Answer, document_of, stranger
 from joulemap.service.client.connection import Connection
 from joulemap.service.coordinates import PlaceLike
 from joulemap.service.questions.asking import asks
 from joulemap.service.questions.feasibility import FeasibilityRequest
+from joulemap.service.questions.given import battery_with, plain
 from joulemap.service.questions.homeward import ReturnRequest
 from joulemap.service.questions.parts import OnMap
 from joulemap.service.questions.path import PathRequest
@@ -102,7 +102,7 @@ class ServedCostMap:
         """
         if progress is None:
             return self._ask(PathOut, "paths", wanted)
-        for name, document in self._connection.events(f"{self._place}/paths", _body(wanted)):
+        for name, document in self._connection.events(f"{self._place}/paths", self._body(wanted)):
             if name == "answer":
                 return PathOut.model_validate(document)
             progress(float(document))
@@ -185,12 +185,19 @@ class ServedCostMap:
         """
         return self._file("tours", wanted, format, coordinates).content
 
+    def _body(self, wanted: OnMap) -> dict[str, Any]:
+        """What is sent of a question: what was given."""
+        given = {name: getattr(wanted, name) for name in wanted.model_fields_set}
+        if "avoid" in given:
+            given["avoid"] = corners_of(given["avoid"], self.grid)
+        return plain(given)
+
     def _ask(self, answer: type[Answer], question: str, wanted: OnMap) -> Answer:
-        return self._connection.ask(answer, "POST", f"{self._place}/{question}", json=_body(wanted))
+        return self._connection.ask(answer, "POST", f"{self._place}/{question}", json=self._body(wanted))
 
     def _file(self, question: str, wanted: OnMap, format: str, coordinates: str | None) -> httpx.Response:
         query = {"format": format} | ({} if coordinates is None else {"coordinates": coordinates})
-        return self._connection.send("POST", f"{self._place}/{question}", json=_body(wanted), params=query)
+        return self._connection.send("POST", f"{self._place}/{question}", json=self._body(wanted), params=query)
 
     @asks(TourRequest)
     def tour(self, wanted: TourRequest) -> TourOut:
@@ -234,14 +241,14 @@ class ServedCostMap:
         """
         return self._ask(ReachOut, "reach", wanted)
 
-    @asks(FeasibilityRequest, "path")
+    @asks(FeasibilityRequest, "path", complete=False)
     def feasibility(
         self,
-        wanted: FeasibilityRequest,
+        wanted: dict[str, Any],
         route: PathOut | TourOut | Sequence[Point] | None = None,
         *,
-        charge: float = 1.0,
-        reserve: float = 0.0,
+        charge: float | None = None,
+        reserve: float | None = None,
         capacity_wh: float | None = None,
     ) -> FeasibilityOut:
         """Say whether the battery lasts for a route, or for the best one between two points.
@@ -252,12 +259,8 @@ class ServedCostMap:
             Its fields are parameters of this method.
         route : PathOut, TourOut or sequence of points, optional
             What is driven; points are world x, y [m]. The way back of a planned route is the best one.
-        charge : float, optional
-            State of charge at the start, 0..1.
-        reserve : float, optional
-            Share of the capacity that must remain, 0..1.
-        capacity_wh : float, optional
-            Energy of the full battery [Wh]; by default the robot's.
+        charge, reserve, capacity_wh : float, optional
+            As the fields of `battery`, which then must not say otherwise.
 
         Returns
         -------
@@ -270,16 +273,15 @@ class ServedCostMap:
             If it is neither a route nor both ends.
         """
         state = {"charge": charge, "reserve": reserve, "capacity_wh": capacity_wh}
-        more: dict[str, Any] = {"battery": {**state, **(_plain(wanted.battery) or {})}}
-        if isinstance(route, PathOut) and wanted.round_trip:
-            for name, place in (("start", route.path[0]), ("goal", route.path[-1])):
-                more[name] = [value for value in place[:2] if value is not None]
+        wanted["battery"] = battery_with(wanted.get("battery"), **state)
+        if isinstance(route, PathOut) and wanted.get("round_trip"):
+            wanted |= {"start": route.path[0][:2], "goal": route.path[-1][:2]}
         elif route is not None:
-            more["path"] = route.path if isinstance(route, PathOut | TourOut) else route
-        return self._ask(FeasibilityOut, "feasibility", wanted.model_copy(update=more))
+            wanted["path"] = route.path if isinstance(route, PathOut | TourOut) else route
+        return self._ask(FeasibilityOut, "feasibility", FeasibilityRequest.of(**wanted))
 
-    @asks(SpeedsRequest, "path")
-    def speeds(self, wanted: SpeedsRequest, points: Sequence[Point] | None = None) -> SpeedsOut:
+    @asks(SpeedsRequest, "path", complete=False)
+    def speeds(self, wanted: dict[str, Any], points: Sequence[Point] | None = None) -> SpeedsOut:
         """Give the cheapest cruising speed of a route, and its energy against its time.
 
         Parameters
@@ -299,8 +301,7 @@ class ServedCostMap:
         InputError
             If the model does not know what speed costs.
         """
-        on_points = wanted if points is None else wanted.model_copy(update={"path": points})
-        return self._ask(SpeedsOut, "speeds", on_points)
+        return self._ask(SpeedsOut, "speeds", SpeedsRequest.of(**wanted, path=points))
 
     @asks(ReturnRequest)
     def homeward(self, wanted: ReturnRequest) -> ReturnOut:
@@ -353,18 +354,3 @@ class ServedCostMap:
             The file.
         """
         return self._connection.send("GET", f"{self._place}/data", params={"format": format}).content
-
-
-def _body(wanted: OnMap) -> dict[str, Any]:
-    """What is sent of a question: what was given, places as lists."""
-    return {name: _plain(getattr(wanted, name)) for name in wanted.model_fields_set}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Battery):
-        return {name: one for name, one in asdict(value).items() if one is not None}
-    if isinstance(value, Mapping):
-        return dict(value)
-    if isinstance(value, str) or not isinstance(value, Iterable):
-        return value
-    return [_plain(one) for one in (value.tolist() if hasattr(value, "tolist") else value)]

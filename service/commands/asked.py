@@ -156,8 +156,10 @@ def _joined(typed: dict[str, Any]) -> dict[str, Any]:
     """Options as fields: those of the battery are one."""
     if "battery" not in typed:
         return typed
-    state = {name: typed.pop(name) for name in ("charge", "reserve") if name in typed}
-    return {**typed, "battery": {**battery_values(typed["battery"], typed.pop("capacity_wh")), **state}}
+    from joulemap.service.questions.given import battery_with
+
+    state = {name: typed.pop(name) for name in _OF_BATTERY if name in typed}
+    return {**typed, "battery": battery_with(battery_values(typed["battery"]), **state)}
 
 
 def _options_of(request: type[BaseModel], without: Sequence[str]) -> Iterator[inspect.Parameter]:

@@ -25,8 +25,8 @@ BatteryFile = Annotated[
 ]
 
 
-def battery_values(file: Path | None, capacity_wh: float | None) -> dict[str, Any]:
-    """The values of a battery file, and the capacity of the command line, which counts more."""
+def battery_values(file: Path | None) -> dict[str, Any]:
+    """The values of a battery file."""
     values: dict[str, Any] = {}
     if file is not None:
         try:
@@ -38,4 +38,4 @@ def battery_values(file: Path | None, capacity_wh: float | None) -> dict[str, An
                 raise InputError(
                     f"battery file {file} says {name}: leave it out there, and give --{name}", path=str(file), key=name
                 )
-    return values if capacity_wh is None else {**values, "capacity_wh": capacity_wh}
+    return values

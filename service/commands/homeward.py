@@ -45,7 +45,7 @@ def point_of_no_return(
     else:
         ground = open_costmap(costmap)
         values, notes = wanted.on(ground.planner.lattice.frame)
-        asked = ReturnRequest.unchecked(position=_place(position, values), **values)
+        asked = ReturnRequest.of(position=_place(position, values), **values)
         found = answer(ask(ground.planner, asked), ground.warnings)
     output.warn(notes)
     _say(output, found.model_dump(mode="json"))

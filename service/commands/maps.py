@@ -323,7 +323,7 @@ def path(
     values, notes = wanted.on(ground.planner.lattice.frame)
     output.warn(notes)
     with progress_bar("Path") as report:
-        found = ask(ground.planner, PathRequest.unchecked(**values), progress=report)
+        found = ask(ground.planner, PathRequest.of(**values), progress=report)
     _say_path(output, answer(found, ground.warnings), ground.robot.name, bound=bound)
     for file in files:
         write_file(file.path, file.content(track(found, ground.warnings)))
@@ -402,7 +402,7 @@ def feasibility(
         whole = memory is not None or wanted.changed & {"objective", "max_power_w"}
         ground = open_costmap(costmap, memory_gb=memory if whole else _memory_for(costmap))
         values, notes = wanted.on(ground.planner.lattice.frame)
-        found = answer(ask(ground.planner, FeasibilityRequest.unchecked(**values)), ground.warnings)
+        found = answer(ask(ground.planner, FeasibilityRequest.of(**values)), ground.warnings)
     output.warn(notes)
     _say_verdict(output, found, round_trip=wanted.typed["round_trip"])
 

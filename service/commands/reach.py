@@ -53,7 +53,7 @@ def reach(
     output = Output(json_file)
     ground = open_costmap(costmap)
     values, notes = wanted.on(ground.lattice.frame)
-    found = ask(ground.planner, ReachRequest.unchecked(**values))
+    found = ask(ground.planner, ReachRequest.of(**values))
     if out is not None:
         if out.suffix.lower() == ".geojson":
             document = reach_geojson(found, ground.warnings, coordinates=coordinates)

@@ -62,7 +62,7 @@ def speeds(
         ground = open_costmap(costmap)
         values, notes = wanted.on(ground.lattice.frame)
         made_of, predictor = open_ground(heightmap, **reading), find_predictor(model)
-        said = answer(ask(ground.planner, SpeedsRequest.unchecked(**values), made_of, predictor), ground.warnings)
+        said = answer(ask(ground.planner, SpeedsRequest.of(**values), made_of, predictor), ground.warnings)
     output.warn(notes)
     _say(output, said.model_dump(mode="json"))
 

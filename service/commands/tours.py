@@ -56,7 +56,7 @@ def tour(
     values, notes = wanted.on(ground.lattice.frame)
     output.warn(notes)
     with progress_bar("Tour") as report:
-        found = ask(ground.planner, TourRequest.unchecked(**values), progress=report)
+        found = ask(ground.planner, TourRequest.of(**values), progress=report)
     for file in files:
         write_file(file.path, file.content(track(found, ground.warnings)))
     _say_tour(output, answer(found, ground.warnings).model_dump(mode="json"), ground.robot.name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import re
@@ -19,12 +18,11 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from joulemap.model.errors import BusyError, DamagedError, JoulemapError, StorageFullError
-from joulemap.service.problems import MAX_ERRORS, MEDIA_TYPE, from_outside, jsonable, problem, problem_of
+from joulemap.service.problems import MEDIA_TYPE, from_outside, problem, problem_of
+from joulemap.service.schemas.findings import findings
 
 _LOG = logging.getLogger("joulemap.service")
 _CLOSED = 499  # as nginx logs a request whose client closed the connection; nobody reads it
-_LONGEST_VALUE = 1000  # letters
-_BODY, _THE_BODY = "body", "the body "
 
 
 def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> JSONResponse:
@@ -60,9 +58,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def _invalid(request: Request, error: RequestValidationError) -> JSONResponse:
-        found = [_field_error(e) for e in error.errors()[:MAX_ERRORS]]
-        named = ("" if e["message"].startswith(_THE_BODY) else f"{e['field']}: " for e in found[:5])
-        detail = "; ".join(f"{name}{e['message']}" for name, e in zip(named, found[:5], strict=True))
+        detail, found = findings(error.errors())
         return response(
             problem(422, "invalid_request", "The request is not valid", detail, request_id(request), {"errors": found})
         )
@@ -90,29 +86,3 @@ def install(app: FastAPI) -> None:
     async def _bug(request: Request, error: Exception) -> JSONResponse:
         _LOG.error("request %s failed", request_id(request), exc_info=error)
         return response(problem_of(error, request_id(request)))
-
-
-def _field_error(error: Mapping[str, Any]) -> dict[str, Any]:
-    """One of pydantic's findings: which field, what is wrong with it, and the value that was sent."""
-    place = [str(part) for part in error["loc"]] or ["body"]
-    if error["type"] == "json_invalid":  # the second part of the place is the character
-        reason = str(error.get("ctx", {}).get("error", error["msg"]))
-        return {"field": _BODY, "message": f"{_THE_BODY}is no valid JSON: {reason} at character {place[-1]}"}
-    if place == [_BODY] and error["type"] in ("model_attributes_type", "model_type", "dict_type"):
-        return {"field": _BODY, "message": f"{_THE_BODY}must be a JSON object with Content-Type: application/json"}
-    field = ".".join(place[1:] or place)  # the first says where: body, query, path, header, or a form field
-    message = str(error["msg"]).removeprefix("Value error, ")
-    found = {"field": jsonable(field), "message": jsonable(message)}
-    if error["type"] != "missing" and "input" in error:
-        found["value"] = _shown(error["input"])
-        ours = error["type"] in ("value_error", "unknown_field")  # these words name the value where it matters
-        if not ours and isinstance(error["input"], (int, float, str)) and not isinstance(error["input"], bool):
-            found["message"] = f"{found['message']}, got {str(jsonable(error['input']))[:60]}"
-    return found
-
-
-def _shown(value: Any) -> Any:
-    """A value as it was sent, or the beginning of its text where that is long: a problem may have many of them."""
-    shown = jsonable(value, depth=2)
-    text = json.dumps(shown)
-    return shown if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."

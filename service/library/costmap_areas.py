@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from joulemap.planner.areas.energy_map import EnergyMap, energy_map
 from joulemap.planner.areas.reach_map import ReachMap
@@ -15,6 +16,7 @@ from joulemap.service.places import Places
 from joulemap.service.point_costs import PointCosts, costs_at
 from joulemap.service.questions import homeward, reach
 from joulemap.service.questions.asking import asks
+from joulemap.service.questions.given import battery_with
 from joulemap.service.questions.homeward import ReturnRequest
 from joulemap.service.questions.reach import ReachRequest
 
@@ -22,13 +24,13 @@ from joulemap.service.questions.reach import ReachRequest
 class AreaQuestions(CostMapBase):
     """What holds everywhere on a cost map, or at one place of it."""
 
-    @asks(ReachRequest, "charges")
+    @asks(ReachRequest, "charges", complete=False)
     def reach(
         self,
-        wanted: ReachRequest,
+        wanted: dict[str, Any],
         *,
-        charge: float | Sequence[float] = 1.0,
-        reserve: float = 0.0,
+        charge: float | Sequence[float] | None = None,
+        reserve: float | None = None,
         capacity_wh: float | None = None,
     ) -> ReachMap:
         """Say where the battery lasts to from a place, or where it lasts to and back.
@@ -38,11 +40,9 @@ class AreaQuestions(CostMapBase):
         wanted : ReachRequest
             Its fields are parameters of this method.
         charge : float or sequence of float, optional
-            State of charge at the start, 0..1; several are answered one by one.
-        reserve : float, optional
-            Share of the capacity that must remain, 0..1; a `battery` has its own.
-        capacity_wh : float, optional
-            Energy of the full battery [Wh]; by default that of the robot, and a `battery` has its own.
+            State of charge at the start, 0..1, by default that of the battery; several are answered one by one.
+        reserve, capacity_wh : float, optional
+            As the fields of `battery`, which then must not say otherwise.
 
         Returns
         -------
@@ -58,9 +58,9 @@ class AreaQuestions(CostMapBase):
         BlockedError
             If the start lies on blocked ground, and `snap` is false.
         """
-        charges = (charge,) if isinstance(charge, int | float) else tuple(charge)
-        battery = wanted.battery or {"reserve": reserve, "capacity_wh": capacity_wh or self.robot.battery_wh}
-        return reach.ask(self.planner, wanted.model_copy(update={"charges": charges, "battery": battery}))
+        charges = [charge] if isinstance(charge, int | float) else charge
+        battery = battery_with(wanted.pop("battery", None), reserve=reserve, capacity_wh=capacity_wh)
+        return reach.ask(self.planner, ReachRequest.of(**wanted, charges=charges, battery=battery))
 
     @asks(ReturnRequest)
     def homeward(self, wanted: ReturnRequest) -> Homeward:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
@@ -18,6 +18,8 @@ from joulemap.service.models import DEFAULT_MODEL, find_predictor
 from joulemap.service.places import Places
 from joulemap.service.questions import path, tour
 from joulemap.service.questions.asking import asks
+from joulemap.service.questions.given import battery_with, checked
+from joulemap.service.questions.parts import BatteryIn, battery_of
 from joulemap.service.questions.path import PathRequest
 from joulemap.service.questions.tour import TourRequest
 
@@ -88,11 +90,11 @@ class RouteQuestions(CostMapBase):
         self,
         route: PlannedRoute | PlannedTour | Sequence[Point],
         *,
-        charge: float = 1.0,
-        reserve: float = 0.0,
+        charge: float | None = None,
+        reserve: float | None = None,
         capacity_wh: float | None = None,
         round_trip: bool = False,
-        battery: Battery | None = None,
+        battery: Battery | Mapping[str, Any] | None = None,
     ) -> Feasibility:
         """Say whether the battery lasts for a route, how likely that is, and what would make it sure.
 
@@ -101,16 +103,17 @@ class RouteQuestions(CostMapBase):
         route : PlannedRoute, PlannedTour or sequence of points
             What is driven; points are world x, y [m].
         charge : float, optional
-            State of charge at the start, 0..1.
+            State of charge at the start, 0..1. By default 1.
         reserve : float, optional
-            Share of the capacity that must remain, 0..1.
+            Share of the capacity that must remain, 0..1. By default 0.
         capacity_wh : float, optional
             Energy of the full battery [Wh]. By default that of the robot.
         round_trip : bool, optional
             Whether the way back is driven too: the best one back to the start of a planned route, the same points in
             reverse otherwise.
-        battery : Battery, optional
-            With its charge and reserve, where more is known of it than its energy; the other three then do not count.
+        battery : Battery or mapping, optional
+            With its charge and reserve, where more is known of it than its energy. The other three must not say
+            otherwise.
 
         Returns
         -------
@@ -125,9 +128,8 @@ class RouteQuestions(CostMapBase):
             If points cross blocked ground.
         """
         warnings = tuple(self.warnings)
-        if battery is None:
-            full = self.robot.battery_wh if capacity_wh is None else capacity_wh
-            battery = Battery(full, charge=charge, reserve=reserve)
+        known = battery_with(battery, charge=charge, reserve=reserve, capacity_wh=capacity_wh)
+        battery = battery_of(checked(BatteryIn, known or {}), self.robot)
         if isinstance(route, PlannedTour):
             if round_trip:
                 raise InputError("a tour comes home already: leave out `round_trip`")

@@ -18,11 +18,14 @@ _TYPES = {"integer": "int", "number": "float", "string": "str", "boolean": "bool
 _WANTED = re.compile(r"^wanted : .*\n(?:    .*\n)+", re.M)
 
 
-def asks(request: type[OnMap], *without: str) -> Callable[[Callable[..., Answer]], Callable[..., Answer]]:
+def asks(
+    request: type[OnMap], *without: str, complete: bool = True
+) -> Callable[[Callable[..., Answer]], Callable[..., Answer]]:
     """Give a method the fields of a request, but for some, as parameters in the place of its parameter `wanted`.
 
     Those that must be given come first, and the others are given by name. `help` and the signature show all of them,
-    with the meanings that the request gives them.
+    with the meanings that the request gives them. The method gets the request; where these fields do not make it
+    complete, it gets the values that were given, by name.
     """
     needed, others = ({n: f for n, f in some.items() if n not in without} for some in fields_of(request))
     fields = needed | others
@@ -50,8 +53,8 @@ def asks(request: type[OnMap], *without: str) -> Callable[[Callable[..., Answer]
                 bound = signature.bind(*args, **given).arguments
             except TypeError as error:
                 raise TypeError(f"{method.__name__}() {error}") from None
-            wanted = request.unchecked(**{name: bound.pop(name) for name in fields if name in bound})
-            return method(bound.pop(me.name), wanted, **bound)
+            values = {name: bound.pop(name) for name in fields if name in bound}
+            return method(bound.pop(me.name), request.of(**values) if complete else values, **bound)
 
         _method.__signature__ = signature  # type: ignore[attr-defined]
         entries = "".join(_described(name, field, needed=name in needed) for name, field in fields.items())

@@ -9,6 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from joulemap.model.battery import Battery
 from joulemap.model.ranges import BATTERY, BATTERY_CURVES, CURVE_POINTS, OBJECTIVES, QUANTILE, Range
+from joulemap.service.questions.given import checked
 from joulemap.service.schemas.base import Areas, GivenPath, Place, Request, RobotIn, within
 
 if TYPE_CHECKING:  # they take their time to load
@@ -28,12 +29,14 @@ class OnMap(Request):
     robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
 
     @classmethod
-    def unchecked(cls, **values: Any) -> Self:
-        """A question that was asked in this process: its values are checked where they are used, as everywhere in it.
+    def of(cls, **values: Any) -> Self:
+        """A question of a Python user, checked as HTTP checks a body.
 
-        A battery may be a `Battery` or a mapping too.
+        Areas may be given in many forms, and are checked by what reads them.
         """
-        return cls.model_construct(**values)
+        avoid = values.pop("avoid", None)
+        asked = checked(cls, values)
+        return asked if avoid is None else asked.model_copy(update={"avoid": avoid})
 
 
 class WeighedRequest(OnMap):
@@ -157,10 +160,8 @@ class BatteryIn(Request):
         return value
 
 
-def battery_of(given: BatteryIn | Battery | Mapping[str, Any] | None, robot: Robot) -> Battery:
+def battery_of(given: BatteryIn | Mapping[str, Any] | None, robot: Robot) -> Battery:
     """The battery of a question; what is left out is as in the robot's own one, full and without a reserve."""
-    if isinstance(given, Battery):
-        return given
     values = given.model_dump(exclude_none=True) if isinstance(given, BatteryIn) else given or {}
     return Battery.from_mapping({"capacity_wh": robot.battery_wh, **values})
 

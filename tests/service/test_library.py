@@ -127,7 +127,7 @@ def test_snap_goes_to_the_nearest_free_place(costmap: jm.CostMap) -> None:
 
 
 def test_a_wrong_point_is_named(costmap: jm.CostMap) -> None:
-    with pytest.raises(jm.JoulemapError, match="goal is 'there'"):
+    with pytest.raises(jm.JoulemapError, match=r"goal: .*got there"):
         costmap.plan(START, "there")  # type: ignore[arg-type]
 
 

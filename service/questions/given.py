@@ -1,0 +1,59 @@
+"""What Python users give, as the values of a request, and checked as HTTP checks a body."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from joulemap.model.battery import Battery
+from joulemap.model.errors import InputError
+from joulemap.service.schemas.findings import BODY, findings
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: tuples and arrays as lists, a battery as its fields that were given."""
+    if isinstance(value, Battery):
+        return {name: plain(one) for name, one in asdict(value).items() if one is not None}
+    if isinstance(value, BaseModel):
+        return value.model_dump(exclude_unset=True)
+    if isinstance(value, Mapping):
+        return {name: plain(one) for name, one in value.items()}
+    if hasattr(value, "tolist"):
+        heights = getattr(value, "ndim", 0) == 2 and value.shape[1] == 3  # of places: NaN where unknown, not used
+        return (value[:, :2] if heights else value).tolist()
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        return value
+    return [plain(one) for one in value]
+
+
+def checked(request: type[Model], values: Mapping[str, Any]) -> Model:
+    """The request with these values.
+
+    How many points and areas there may be is left to who answers: that limit protects a service that many share.
+    """
+    given = {name: plain(value) for name, value in values.items()}
+    try:
+        return request.model_validate(given)
+    except ValidationError as error:
+        wrong = [one for one in error.errors(include_url=False) if one["type"] != "too_long"]
+        if not wrong:
+            return request.model_construct(**given)
+        words, found = findings([{**one, "loc": (BODY, *one["loc"])} for one in wrong])
+        raise InputError(words, errors=found) from None
+
+
+def battery_with(battery: Any, **state: Any) -> dict[str, Any] | None:
+    """A battery with what is said of it beside it; what both say must be the same. Result: None if nothing is said."""
+    values = plain(battery) or {}
+    for name, value in state.items():
+        if value is None:
+            continue
+        if values.get(name) not in (None, value):
+            raise InputError(f"`{name}` is {value}, and `battery` says {values[name]}: say it once", key=name)
+        values[name] = value
+    return values or None
