@@ -25,6 +25,7 @@ from joulemap.planner.any_angle.best import (
     shorter_of,
     tightened,
 )
+from joulemap.planner.areas.energy_map import EnergyMap, energy_map
 from joulemap.planner.areas.reach import ReachField, reach_field
 from joulemap.planner.grid.fields import field_from, field_towards
 from joulemap.planner.grid.search import grid_search
@@ -163,6 +164,28 @@ class RoutePlanner:
                 self._reaches[key] = reach_field(self.lattice, table, start, round_trip=round_trip)
             self._reaches.move_to_end(key)
             return self._reaches[key], notes
+
+    def field(
+        self,
+        *,
+        start: tuple[float, float] | None = None,
+        goal: tuple[float, float] | None = None,
+        neighbours: int = 16,
+        snap: bool = False,
+    ) -> tuple[EnergyMap, list[str]]:
+        """Return the least energy from a start to every cell, from every cell to a goal, or over every cell.
+
+        `start`, `goal`: world x, y [m], at least one of them. `neighbours`: moves per cell, 8, 16 or 32. Result: the
+        energies [J], and where places were moved to.
+        """
+        notes: list[str] = []
+        here, there = (
+            None if xy is None else self._end(name, xy, notes, snap) for name, xy in (("start", start), ("goal", goal))
+        )
+        table = self._table(neighbours, distance=False)
+        out = None if here is None else field_from(self.lattice, table, here)
+        back = None if there is None else field_towards(self.lattice, table, there[None])
+        return energy_map(out, back), notes
 
     def _priced(self, neighbours: int) -> MoveTable:
         return move_table(self.lattice, neighbours=neighbours)

@@ -14,6 +14,7 @@ from joulemap.service.client.answers import Answer, document_of, stranger
 from joulemap.service.client.connection import Connection
 from joulemap.service.coordinates import PlaceLike
 from joulemap.service.questions.asking import asks
+from joulemap.service.questions.at import AtRequest
 from joulemap.service.questions.feasibility import FeasibilityRequest
 from joulemap.service.questions.given import battery_with, plain
 from joulemap.service.questions.homeward import ReturnRequest
@@ -337,7 +338,8 @@ class ServedCostMap:
         AtOut
             With the reasons where headings are blocked.
         """
-        place = dict(point) if isinstance(point, Mapping) else {"x": point[0], "y": point[1]}
+        here = AtRequest.of(place=point).place
+        place = here if isinstance(here, Mapping) else {"x": here[0], "y": here[1]}
         return self._connection.ask(AtOut, "GET", f"{self._place}/at", params=place)
 
     def data(self, format: str = "geotiff") -> bytes:

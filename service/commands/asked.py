@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _TYPES = {"integer": int, "number": float, "string": str, "boolean": bool, "array": list}
 _METAVARS = {"m": "M", "s": "S", "w": "W", "wh": "WH", "percent": "PERCENT"}  # by the unit that a name ends with
-_NAMES = {"charges": "charge", "stops": "stop", "round_trip": "return"}
+_NAMES = {"charges": "charge", "stops": "stop", "round_trip": "return", "within_percent": "within"}
 """Options whose name is not that of their field; `--round-trip` is known too."""
 _FILES = {
     "avoid": "GeoJSON with areas (polygons) that no route may touch; may be given several times.",

@@ -3,32 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from joulemap.service.commands.console import JsonFile, Output, parse_point, write_file
+from joulemap.service.commands.asked import Wanted
+from joulemap.service.commands.console import JsonFile, Output, write_file
 from joulemap.service.commands.maps import MapFolder
-from joulemap.service.commands.options import Snap
 
 
 def field(
     costmap: MapFolder,
+    wanted: Annotated[Wanted, "joulemap.service.questions.field:FieldRequest"],
     out: Annotated[Path, typer.Option("--out", metavar="FILE.tif", help="GeoTIFF to write [J].")],
-    start: Annotated[
-        Any, typer.Option(metavar="X,Y", parser=parse_point, help="Energy from here to each cell.")
-    ] = None,
-    goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Energy from each cell to here.")] = None,
-    within: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            metavar="PERCENT",
-            help="With start and goal: a second band, 1 where routes lie that cost at most so much more than the best.",
-        ),
-    ] = None,
-    neighbours: Annotated[int, typer.Option(metavar="N", help="Directions of a step: 8, 16 or 32.")] = 16,
-    snap: Snap = False,
     json_file: JsonFile = None,
 ) -> None:
     """Write the **least energy** from a start to all cells, from all cells to a goal, or over each cell between both.
@@ -42,35 +29,23 @@ def field(
 
     `joulemap field dem.zarr --start 12,40 --goal 180,95 --within 5 --out corridor.tif`
     """
-    import numpy as np
-
     from joulemap.service.library.costmaps import open_costmap
-    from joulemap.service.places import Places
+    from joulemap.service.questions.field import FieldRequest, answer, ask
 
     output = Output(json_file)
     ground = open_costmap(costmap)
-    places = Places(ground.lattice.frame)
-    ends = {name: None if place is None else places(place, name) for name, place in (("start", start), ("goal", goal))}
-    output.warn(places.notes)
-    found = ground.field(**ends, neighbours=neighbours, snap=snap)
-    share = None if within is None else within / 100.0
-    write_file(out, found.geotiff(within=share))
-    reached = np.isfinite(found.energy_j)
-    figures: dict[str, Any] = {
-        "kind": str(found.kind),
-        "cells": int(found.energy_j.size),
-        "reached": int(reached.sum()),
-        "least_j": found.least_j if reached.any() else None,
-        "most_j": float(found.energy_j[reached].max()) if reached.any() else None,
-        "out": str(out),
-    }
-    if share is not None:
-        figures["corridor_cells"] = int(found.corridor(share).sum())
-    output.say(found.kind, head="Energy field")
+    values, notes = wanted.on(ground.lattice.frame)
+    output.warn(notes)
+    found = ask(ground.planner, FieldRequest.of(**values))
+    output.warn(found.notes)
+    write_file(out, found.energies.geotiff(within=found.within))
+    figures = {name: value for name, value in answer(found).items() if name != "warnings"} | {"out": str(out)}
+    output.say(figures["kind"], head="Energy field")
     rows = {"cells reached": f"{figures['reached']:,} of {figures['cells']:,}", "written": str(out)}
-    if reached.any():
-        rows["energy"] = f"{figures['least_j'] / 1e3:.2f} .. {figures['most_j'] / 1e3:.2f} kJ"
-    if share is not None:
-        rows["corridor"] = f"{figures['corridor_cells']:,} cells within {within:g} % of the best route"
+    rows["energy"] = f"{figures['least_j'] / 1e3:.2f} .. {figures['most_j'] / 1e3:.2f} kJ"
+    if (corridor := figures["corridor_cells"]) is None:
+        del figures["corridor_cells"]
+    else:
+        rows["corridor"] = f"{corridor:,} cells within {wanted.typed['within_percent']:g} % of the best route"
     output.table(rows)
     output.document(figures)

@@ -136,10 +136,6 @@ BaselineRuns = Annotated[
         "was trained on, if its folder keeps them]",
     ),
 ]
-Snap = Annotated[
-    bool,
-    typer.Option("--snap", help="Take the nearest free place for a point on blocked ground, with a warning."),
-]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is at `--out` already.")]
 
 

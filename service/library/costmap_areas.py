@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from joulemap.planner.areas.energy_map import EnergyMap, energy_map
+from joulemap.planner.areas.energy_map import EnergyMap
 from joulemap.planner.areas.reach_map import ReachMap
-from joulemap.planner.grid.fields import field_from, field_towards
-from joulemap.planner.places import end_point
-from joulemap.planner.pricing.moves import move_table
 from joulemap.service.homeward import Homeward
-from joulemap.service.library.costmap_base import CostMapBase, Point
-from joulemap.service.places import Places
-from joulemap.service.point_costs import PointCosts, costs_at
-from joulemap.service.questions import homeward, reach
+from joulemap.service.library.costmap_base import CostMapBase
+from joulemap.service.point_costs import PointCosts
+from joulemap.service.questions import at, field, homeward, reach
 from joulemap.service.questions.asking import asks
+from joulemap.service.questions.field import FieldRequest
 from joulemap.service.questions.given import battery_with
 from joulemap.service.questions.homeward import ReturnRequest
 from joulemap.service.questions.reach import ReachRequest
@@ -87,25 +84,21 @@ class AreaQuestions(CostMapBase):
         """
         return homeward.ask(self.planner, wanted)
 
-    def field(
-        self, *, start: Point | None = None, goal: Point | None = None, neighbours: int = 16, snap: bool = False
-    ) -> EnergyMap:
+    @asks(FieldRequest, "within_percent")
+    def field(self, wanted: FieldRequest) -> EnergyMap:
         """Give the least energy from a start to every cell, from every cell to a goal, or over every cell between both.
 
         Parameters
         ----------
-        start, goal : sequence of float, optional
-            World x, y [m]; at least one of them. With both, the energy of a cell is that of the best route over it.
-        neighbours : int, optional
-            Directions of a step on the grid: 8, 16 or 32.
-        snap : bool, optional
-            Whether a place on blocked ground is moved to the nearest free one.
+        wanted : FieldRequest
+            Its fields are parameters of this method.
 
         Returns
         -------
         EnergyMap
-            An array [J], with `to_xarray`, `geotiff` and `corridor`. For a map that changes, `planner.replan.Replanner`
-            repairs the field instead of making it anew.
+            An array [J], with `to_xarray`, `geotiff` and `corridor`. With start and goal, the energy of a cell is that
+            of the best route over it. For a map that changes, `planner.replan.Replanner` repairs the field instead of
+            making it anew.
 
         Raises
         ------
@@ -118,15 +111,7 @@ class AreaQuestions(CostMapBase):
         NoRouteError
             If no route joins the two.
         """
-        table = move_table(self._whole, neighbours=neighbours)
-        places = Places(self._whole.frame)
-        ends = [
-            None if place is None else end_point(self._whole, *places(place, name), name=name, snap=snap)[0]
-            for name, place in (("start", start), ("goal", goal))
-        ]
-        out = None if ends[0] is None else field_from(self._whole, table, ends[0])
-        back = None if ends[1] is None else field_towards(self._whole, table, ends[1][None])
-        return energy_map(out, back)
+        return field.ask(self.planner, wanted).energies
 
     def at(self, x: float, y: float) -> PointCosts:
         """Say what driving costs at one place, in every direction.
@@ -146,4 +131,4 @@ class AreaQuestions(CostMapBase):
         PointError
             If the place lies outside the map.
         """
-        return costs_at(self.lattice, x, y)
+        return at.ask(self.planner, at.AtRequest.of(place=(x, y))).costs

@@ -17,7 +17,6 @@ from joulemap.service.library.costmap_areas import AreaQuestions
 from joulemap.service.library.costmap_output import CostMapOutput
 from joulemap.service.library.costmap_routes import RouteQuestions
 from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.point_costs import PointCosts
 
 if TYPE_CHECKING:
     from joulemap.service.library.heightmaps import GroundLike, RobotLike
@@ -133,27 +132,6 @@ class StoredCostMap(CostMap):
     def planner(self) -> StoredPlanner:  # type: ignore[override]
         """The planner of this map."""
         return self.stored
-
-    def at(self, x: float, y: float) -> PointCosts:
-        """Say what driving costs at one place, as `CostMap.at`.
-
-        Parameters
-        ----------
-        x, y : float
-            World x, y [m].
-
-        Returns
-        -------
-        PointCosts
-            Energy per metre [J/m] by heading, and the reason where a heading is blocked.
-
-        Raises
-        ------
-        PointError
-            If the place lies outside the map.
-        """
-        self.stored.read_along([(x, y)])
-        return super().at(x, y)
 
     @property
     def _whole(self) -> CostLattice:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from joulemap.model.battery import Battery
+from joulemap.model.errors import InputError
 from joulemap.model.ranges import BATTERY, BATTERY_CURVES, CURVE_POINTS, OBJECTIVES, QUANTILE, Range
 from joulemap.service.questions.given import checked
 from joulemap.service.schemas.base import Areas, GivenPath, Place, Request, RobotIn, within
@@ -181,3 +182,15 @@ def on_map(planner: AnyPlanner, wanted: OnMap) -> Asked:
     places = Places(planner.lattice.frame)
     within_areas = planner.avoiding(places.areas(wanted.avoid))
     return Asked(limited(within_areas, getattr(wanted, "max_power_w", None)), places)
+
+
+def in_memory(planner: AnyPlanner, what: str) -> RoutePlanner:
+    """A planner of a whole map, which a question needs."""
+    from joulemap.planner.stored_planner import StoredPlanner
+
+    if isinstance(planner, StoredPlanner):
+        raise InputError(
+            f"{what} needs the whole cost map in memory, and this one is planned on from disk: open it without "
+            "`memory_gb`, or make a cost map with a coarser spacing"
+        )
+    return planner

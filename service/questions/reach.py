@@ -10,7 +10,7 @@ from pydantic import Field
 
 from joulemap.model.errors import InputError
 from joulemap.model.ranges import BATTERY, MAX_CHARGES, QUANTILE
-from joulemap.service.questions.parts import BatteryIn, OnMap, battery_of, on_map
+from joulemap.service.questions.parts import BatteryIn, OnMap, battery_of, in_memory, on_map
 from joulemap.service.schemas.base import Place, ResponseModel, within
 
 if TYPE_CHECKING:  # they take their time to load
@@ -81,7 +81,6 @@ def ask(planner: AnyPlanner, wanted: ReachRequest) -> ReachMap:
 
     from joulemap.planner.areas.reach import peak_need
     from joulemap.planner.areas.reach_map import ReachMap
-    from joulemap.planner.stored_planner import StoredPlanner
 
     asked, battery = on_map(planner, wanted), battery_of(wanted.battery, planner.lattice.robot)
     start = asked.places(wanted.start, "start")
@@ -89,11 +88,7 @@ def ask(planner: AnyPlanner, wanted: ReachRequest) -> ReachMap:
     if not 1 <= len(levels) <= MAX_CHARGES:
         raise InputError(f"`charges` has {len(levels)} values; from 1 to {MAX_CHARGES} can be answered at a time")
     batteries = [replace(battery, charge=charge) for charge in levels]
-    if isinstance(planner, StoredPlanner):
-        raise InputError(
-            "a map of reach needs the whole cost map in memory, and this one is planned on from disk: make a cost map "
-            "with a coarser spacing"
-        )
+    in_memory(planner, "a map of reach")
     if wanted.confidence is not None:
         _check_confidence(planner.lattice, wanted.confidence)
     found, notes = asked.planner.reach(start, round_trip=wanted.round_trip, snap=wanted.snap)

@@ -96,6 +96,17 @@ def test_the_command_writes_the_field(costmap, tmp_path):
         np.testing.assert_array_equal(file.read(1), found.energy_j)
 
 
+def test_a_field_keeps_off_areas_and_says_where_it_begins(costmap, tmp_path):
+    area = [[110.0, 2.0], [120.0, 2.0], [120.0, 12.0], [110.0, 12.0]]
+    found = costmap.field(start=shifted(START), avoid=[area])
+    assert np.isnan(found.energy_j[costmap.lattice.frame.cell_of(115.0, 7.0)])
+    folder, tif = costmap.save(tmp_path / "map.zarr"), tmp_path / "field.tif"
+    hole = [*(f"--start={x},{y}" for x, y in [shifted((25.5, 19.5))]), "--snap"]
+    result = CliRunner().invoke(app, ["field", str(folder), *hole, "--out", str(tif)])
+    assert result.exit_code == 0, result.output
+    assert "moved to the nearest free place" in result.output
+
+
 def test_fields_over_http(client, costmap_id):
     place = f"/v1/costmaps/{costmap_id}/field"
     ends = {"start_x": HTTP_START[0], "start_y": HTTP_START[1], "goal_x": HTTP_GOAL[0], "goal_y": HTTP_GOAL[1]}

@@ -5,25 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
 from joulemap.model.errors import InputError
-from joulemap.model.ranges import CORRIDOR_PERCENT, HEADING_DEG
+from joulemap.model.ranges import HEADING_DEG
 from joulemap.planner.lattice.io import export_npz
-from joulemap.service.coordinates import WorldPoint, world_point
 from joulemap.service.exports.maps import MAP_FORMATS, map_files, zipped
+from joulemap.service.http.asked import answer_of
 from joulemap.service.http.dependencies import KernelsDep
 from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.zip_stream import zip_folder
-from joulemap.service.library.costmaps import CostMap
 from joulemap.service.pictures import field_image, lattice_image
-from joulemap.service.places import Places
-from joulemap.service.point_costs import PointCosts, costs_at
-from joulemap.service.schemas.answers import number
+from joulemap.service.questions import at, field
+from joulemap.service.questions.field import FieldRequest, Neighbours, Snap, Within
 from joulemap.service.schemas.base import Coordinate
 from joulemap.service.schemas.base import within as bounds
 from joulemap.service.schemas.maps import AtOut, FieldOut
@@ -125,21 +122,12 @@ async def get_at(
     if place is None or (x is not None and lat is not None):
         raise InputError("name one place: x and y in metres, or lat and lon in degrees")
 
-    def _look() -> tuple[PointCosts, WorldPoint]:
+    def _look() -> AtOut:
         service.done_costmap(costmap_id)
-        lattice = service.maps.planner(costmap_id).lattice
-        here = world_point(lattice.frame, place)
-        return costs_at(lattice, here.x, here.y), here
+        wanted = at.AtRequest.model_construct(place=place)
+        return at.answer(at.ask(service.maps.planner(costmap_id), wanted))
 
-    costs, here = await service.prices.do(costmap_id, _look)
-    return AtOut(
-        x=here.x,
-        y=here.y,
-        elevation_m=number(costs.elevation_m),
-        headings_deg=np.rad2deg(costs.headings_rad).tolist(),
-        energy_per_m=[number(v) for v in costs.energy_per_m.tolist()],
-        blocked=costs.reasons,
-    )
+    return await service.prices.do(costmap_id, _look)
 
 
 @router.get(
@@ -158,14 +146,9 @@ async def get_field(
     start_y: Annotated[Coordinate | None, Query(description="world y [m]")] = None,
     goal_x: Annotated[Coordinate | None, Query(description="energy from each cell to here: world x [m]")] = None,
     goal_y: Annotated[Coordinate | None, Query(description="world y [m]")] = None,
-    within: Annotated[
-        Annotated[float, bounds(CORRIDOR_PERCENT)] | None,
-        Query(
-            description="with start and goal: the corridor of routes so much dearer at most [%]",
-        ),
-    ] = None,
-    neighbours: Annotated[Literal[8, 16, 32], Query(description="directions of a step")] = 16,
-    snap: Annotated[bool, Query(description="move places on blocked ground to the nearest free one")] = False,
+    within: Annotated[Within, Query()] = None,
+    neighbours: Annotated[Neighbours, Query()] = 16,
+    snap: Annotated[Snap, Query()] = False,
     format: Annotated[
         Literal["json", "geotiff", "png"],
         Query(description="json: figures only; geotiff: energy [J], and the corridor as a second band; png: a picture"),
@@ -173,30 +156,16 @@ async def get_field(
 ) -> Any:
     """Least energy from a start to all cells, from all cells to a goal, or over each cell between both."""
     await run_sync(service.done_costmap, costmap_id)
-    start, goal = _place(start_x, start_y, "start"), _place(goal_x, goal_y, "goal")
-    share = None if within is None else within / 100.0
+    ends: dict[str, Any] = {"start": _place(start_x, start_y, "start"), "goal": _place(goal_x, goal_y, "goal")}
+    wanted = FieldRequest.model_construct(**ends, within_percent=within, neighbours=neighbours, snap=snap)
 
     def _search() -> Response:
-        lattice = service.maps.planner(costmap_id).lattice
-        places = Places(lattice.frame)
-        here = None if start is None else places(start, "start")
-        there = None if goal is None else places(goal, "goal")
-        found = CostMap(lattice).field(start=here, goal=there, neighbours=neighbours, snap=snap)
+        found = field.ask(service.maps.planner(costmap_id), wanted)
         if format == "geotiff":
-            return _file(iter([found.geotiff(within=share)]), "image/tiff", f"{costmap_id}-field.tif")
+            return _file(iter([found.energies.geotiff(within=found.within)]), "image/tiff", f"{costmap_id}-field.tif")
         if format == "png":
-            return Response(field_image(found, within=share), media_type="image/png")
-        known = found.energy_j[np.isfinite(found.energy_j)]
-        figures = FieldOut(
-            kind=found.kind.value,
-            cells=found.energy_j.size,
-            reached=known.size,
-            least_j=float(known.min()) if known.size else None,
-            most_j=float(known.max()) if known.size else None,
-            corridor_cells=None if share is None else int(found.corridor(share).sum()),
-            warnings=places.notes,
-        )
-        return Response(figures.model_dump_json(), media_type="application/json")
+            return Response(field_image(found.energies, within=found.within), media_type="image/png")
+        return answer_of(FieldOut(**field.answer(found)))
 
     return await while_connected(request, service.plans.do(costmap_id, _search))
 
