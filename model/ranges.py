@@ -133,5 +133,6 @@ OBJECTIVES = ("mean", "quantile", "arrival")
 """What a route may be chosen by: its expected energy, a quantile of it, the probability to arrive with the reserve."""
 QUANTILE = Range(0.5, 0.99)
 """A share of drives, or a probability, that may be asked for: beyond, the tails of the distribution are not known."""
-MAX_CHARGES, MAX_CHARGING, MAX_STOPS = 10, 16, 60
-"""Most states of charge for reach, places to charge for the point of no return, and stops of a tour, in a question."""
+MAX_CHARGES, MAX_CHARGING, MAX_STOPS, MAX_PLACES = 10, 16, 60, 200
+"""Most states of charge for reach, places to charge for the point of no return, stops of a tour, and starts or goals of
+a matrix, in a question."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.errors import NoRouteError
+from joulemap.model.errors import BlockedError, NoRouteError
 from joulemap.model.threads import both
 from joulemap.planner.answers import Plan, RoundTrip
 from joulemap.planner.any_angle.best import (
@@ -28,7 +28,7 @@ from joulemap.planner.any_angle.best import (
 from joulemap.planner.areas.energy_map import EnergyMap, energy_map
 from joulemap.planner.areas.reach import ReachField, reach_field
 from joulemap.planner.grid.fields import field_from, field_towards
-from joulemap.planner.grid.search import grid_search
+from joulemap.planner.grid.search import grid_search, joining_legs
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.avoid import Polygon, checked_polygons, window_of, without
 from joulemap.planner.places import end_point, free_places
@@ -38,6 +38,7 @@ from joulemap.planner.pricing.move_prices import check_neighbours
 from joulemap.planner.pricing.moves import MoveTable, distance_table, move_table, repriced, with_margin
 from joulemap.planner.questions.alternatives import alternative_paths, improved_ways
 from joulemap.planner.questions.bound import BoundTable, bound_table, energy_bound, quick_bound
+from joulemap.planner.questions.matrix import Matrix, Place, energy_matrix
 from joulemap.planner.questions.tours import cheapest_tour
 from joulemap.planner.route import Route, price_route
 
@@ -186,6 +187,37 @@ class RoutePlanner:
         out = None if here is None else field_from(self.lattice, table, here)
         back = None if there is None else field_towards(self.lattice, table, there[None])
         return energy_map(out, back), notes
+
+    def matrix(
+        self,
+        starts_xy: Sequence[tuple[float, float]],
+        goals_xy: Sequence[tuple[float, float]],
+        *,
+        neighbours: int = ANY_ANGLE_NEIGHBOURS,
+        snap: bool = False,
+        only_cheapest: bool = False,
+        progress: Callable[[float], None] | None = None,
+    ) -> tuple[Matrix, list[str]]:
+        """Return least energies between starts and goals, world x, y [m], and where places were moved to.
+
+        A place on blocked ground is no error: its ways have that reason. Raises PointError if one is outside the map.
+        """
+        notes: list[str] = []
+
+        def _places(name: str, places_xy: Sequence[tuple[float, float]], *, outward: bool) -> list[Place]:
+            found: list[Place] = []
+            for k, xy in enumerate(places_xy):
+                try:
+                    point = self._end(f"{name} {k}", xy, notes, snap)
+                    joined = np.isfinite(joining_legs(self.lattice, point, outward=outward)[1]).any()
+                    found.append(point if joined else f"{name} {k} is next to blocked ground: no leg joins it")
+                except BlockedError as error:
+                    found.append(error.message)
+            return found
+
+        ends = _places("start", starts_xy, outward=True), _places("goal", goals_xy, outward=False)
+        table = self._table(neighbours, distance=False)
+        return energy_matrix(self.lattice, table, *ends, only_cheapest=only_cheapest, progress=progress), notes
 
     def _priced(self, neighbours: int) -> MoveTable:
         return move_table(self.lattice, neighbours=neighbours)

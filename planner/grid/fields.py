@@ -66,30 +66,40 @@ class EnergyField:
         NoRouteError
             If no goal can be reached.
         """
-        lattice, layers = self.lattice, self.search.layers
-        cells, cost = terminals(lattice, self.table, start, layers, outward=True)
+        return self._path(start)
+
+    def path_to(self, goal: Points) -> GridPath:
+        """Return the cheapest path to a place, of a field from a start. Raises NoRouteError if it is not reached.
+
+        `goal` (2,): fractional (row, col).
+        """
+        return self._path(goal)
+
+    def _path(self, place: Points) -> GridPath:
+        """The path between a place and the start of the field, or the nearest of its goals."""
+        lattice, layers, onward = self.lattice, self.search.layers, self.search.backward
+        cells, cost = terminals(lattice, self.table, place, layers, outward=onward)
         total = (cost + self.search.energy_j.reshape(-1, layers)[cells]).ravel()
         first = int(np.argmin(total)) if total.size else _NONE
         least = float(total[first]) if total.size else np.inf
-        near = [self._without_moves(start, cells, cost, goal) for goal in self.places]
-        shortest = min(near, key=lambda path: path.energy_j)
+        ends = [(place, other) if onward else (other, place) for other in self.places]
+        shortest = min((self._without_moves(*pair) for pair in ends), key=lambda path: path.energy_j)
         if shortest.energy_j <= least and shortest.energy_j < np.inf:
             return shortest
         if not np.isfinite(least):
             raise NoRouteError("no route: none of the goals can be reached from the start within the robot's limits")
-        cols = lattice.frame.cols
         path = self.search.trace(self.table, int(cells[first // layers]) * layers + first % layers) // layers
-        here = np.array(divmod(int(path[-1]), cols), dtype=np.float64)
-        ways = [joined_points(lattice, start, path, goal) for goal in self.places if np.abs(goal - here).max() <= 1.0]
+        here = np.array(divmod(int(path[-1]), lattice.frame.cols), dtype=np.float64)
+        near = [pair for pair, other in zip(ends, self.places, strict=True) if np.abs(other - here).max() <= 1.0]
+        ways = [joined_points(lattice, pair[0], path if onward else path[::-1], pair[1]) for pair in near]
         prices = [path_price(lattice, points) for points in ways]  # which of them it was
         return GridPath(ways[int(np.nanargmin(prices))], least, 0)
 
-    def _without_moves(
-        self, start: Points, cells: NDArray[np.int64], cost: NDArray[np.float64], goal: Points
-    ) -> GridPath:
+    def _without_moves(self, start: Points, goal: Points) -> GridPath:
         """The best path to a goal so near that no grid move is needed; inf where there is none."""
         best = GridPath(np.vstack([start, goal]), direct_energy(self.lattice, start, goal), 0)
         if np.abs(start - goal).max() < 2.0:
+            cells, cost = terminals(self.lattice, self.table, start, self.search.layers, outward=True)
             ends, rest = terminals(self.lattice, self.table, goal, self.search.layers, outward=False)
             for cell in np.intersect1d(cells, ends):
                 energy = float((cost[cells == cell] + rest[ends == cell]).min())

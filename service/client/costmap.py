@@ -18,6 +18,7 @@ from joulemap.service.questions.at import AtRequest
 from joulemap.service.questions.feasibility import FeasibilityRequest
 from joulemap.service.questions.given import battery_with, plain
 from joulemap.service.questions.homeward import ReturnRequest
+from joulemap.service.questions.matrix import MatrixOut, MatrixRequest
 from joulemap.service.questions.parts import OnMap
 from joulemap.service.questions.path import PathRequest
 from joulemap.service.questions.reach import ReachOut, ReachRequest
@@ -220,6 +221,27 @@ class ServedCostMap:
             As `CostMap.tour`.
         """
         return self._ask(TourOut, "tours", wanted)
+
+    @asks(MatrixRequest)
+    def matrix(self, wanted: MatrixRequest) -> MatrixOut:
+        """Say what it takes to drive from each start to each goal, by one search for each start or goal.
+
+        Parameters
+        ----------
+        wanted : MatrixRequest
+            Its fields are parameters of this method.
+
+        Returns
+        -------
+        MatrixOut
+            A row for each start; None where there is no way, with the reason.
+
+        Raises
+        ------
+        PointError
+            If a place lies outside the map.
+        """
+        return self._ask(MatrixOut, "matrix", wanted)
 
     @asks(ReachRequest)
     def reach(self, wanted: ReachRequest) -> ReachOut:

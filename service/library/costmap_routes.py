@@ -16,9 +16,10 @@ from joulemap.service.library.planned_route import PlannedRoute
 from joulemap.service.library.planned_tour import PlannedTour
 from joulemap.service.models import DEFAULT_MODEL, find_predictor
 from joulemap.service.places import Places
-from joulemap.service.questions import path, tour
+from joulemap.service.questions import matrix, path, tour
 from joulemap.service.questions.asking import asks
 from joulemap.service.questions.given import battery_with, checked
+from joulemap.service.questions.matrix import EnergyMatrix, MatrixRequest
 from joulemap.service.questions.parts import BatteryIn, battery_of
 from joulemap.service.questions.path import PathRequest
 from joulemap.service.questions.tour import TourRequest
@@ -85,6 +86,29 @@ class RouteQuestions(CostMapBase):
         """
         found = tour.ask(self.planner, wanted, progress=progress)
         return PlannedTour(found.trip, found.lattice)
+
+    @asks(MatrixRequest)
+    def matrix(self, wanted: MatrixRequest, *, progress: Callable[[float], None] | None = None) -> EnergyMatrix:
+        """Say what it takes to drive from each start to each goal, by one search for each start or goal.
+
+        Parameters
+        ----------
+        wanted : MatrixRequest
+            Its fields are parameters of this method.
+        progress : callable, optional
+            Called with the share done, 0..1.
+
+        Returns
+        -------
+        EnergyMatrix
+            Arrays with a row for each start; infinite where there is no way, with the reason.
+
+        Raises
+        ------
+        PointError
+            If a place lies outside the map.
+        """
+        return matrix.ask(self.planner, wanted, progress=progress)
 
     def feasibility(
         self,

@@ -132,6 +132,7 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
             "at": f"{base}/at",
             "paths": f"{base}/paths",
             "tours": f"{base}/tours",
+            "matrix": f"{base}/matrix",
             "feasibility": f"{base}/feasibility",
         }
     provenance = summary.get("provenance")

@@ -118,6 +118,7 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("find_path", "POST", f"{here}/paths", body={**task, "alternatives": 1})
     stops = {"stops": [START, GOAL, [START[0] + 10.0, START[1] - 8.0]]}
     ask("find_tour", "POST", f"{here}/tours", body=stops)
+    ask("find_matrix", "POST", f"{here}/matrix", body={"starts": [START, stops["stops"][2]], "goals": [GOAL]})
     for kind in ("qgc-plan", "ros-path", "geojson"):
         ask("find_path", "POST", f"{here}/paths", body={**task, "alternatives": 1}, query={"format": kind})
         ask("find_tour", "POST", f"{here}/tours", body=stops, query={"format": kind})

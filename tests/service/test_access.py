@@ -331,6 +331,7 @@ QUERIES = {
 BODIES = {
     "/paths": {"start": START, "goal": GOAL},
     "/tours": {"stops": [START, GOAL]},
+    "/matrix": {"starts": [START], "goals": [GOAL]},
     "/feasibility": {"start": START, "goal": GOAL},
     "/reach": {"start": START},
     "/return": {"position": START, "home": GOAL},

@@ -364,11 +364,13 @@ HUGE_BODIES = {
     "a key of megabytes": _keys(1, length=7_000_000),
     "deep lists": b'{"start": %b1%b}' % (b"[" * 100_000, b"]" * 100_000),
     "deep objects": b'{"start": ' * 900 + b"1" + b"}" * 900,
-    "many wrong points": json.dumps({name: [["x", None]] * 50_000 for name in ("path", "stops", "runs")}).encode(),
+    "many wrong points": json.dumps(
+        {name: [["x", None]] * 50_000 for name in ("path", "stops", "starts", "runs")}
+    ).encode(),
     "long values": json.dumps({f"start_{n}": ["v" * 400] * 100 for n in range(99)}).encode(),
     "large values": json.dumps({"robot": {f"{n}": {f"{m}": "v" * 50 for m in range(10)} for n in range(90)}}).encode(),
 }
-QUESTIONS = ("paths", "tours", "feasibility", "return", "reach", "speeds")
+QUESTIONS = ("paths", "tours", "matrix", "feasibility", "return", "reach", "speeds")
 POST_PLACES = ["costmaps", "calibrations", *(f"costmaps/{{}}/{name}" for name in QUESTIONS)]
 
 

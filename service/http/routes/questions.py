@@ -19,9 +19,10 @@ from joulemap.service.http.long_questions import EVENTS, Report, events, while_c
 from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, WantedFile, route_file_wanted
 from joulemap.service.http.service import Service
-from joulemap.service.questions import feasibility, homeward, path, speeds, tour
+from joulemap.service.questions import feasibility, homeward, matrix, path, speeds, tour
 from joulemap.service.questions.feasibility import FeasibilityRequest
 from joulemap.service.questions.homeward import ReturnRequest
+from joulemap.service.questions.matrix import MatrixOut, MatrixRequest
 from joulemap.service.questions.parts import OnMap
 from joulemap.service.questions.path import PathRequest
 from joulemap.service.questions.speeds import SpeedsRequest
@@ -121,6 +122,20 @@ async def find_tour(
 
     def _find() -> Response:
         return _answered(tour, service, costmap_id, wanted, _whole(service), file=file, name="tour")
+
+    return await while_connected(request, service.plans.do(costmap_id, _find))
+
+
+@router.post("/matrix", response_model=MatrixOut, responses=problems(404, 409, 503))
+async def find_matrix(costmap_id: str, wanted: MatrixRequest, service: KernelsDep, request: Request) -> Any:
+    """Least energies over grid moves between many places, or from each start to the cheapest of some goals.
+
+    One search for each start, or for each goal, whichever are fewer. A place on blocked ground is no error: its ways
+    are null, with the reason.
+    """
+
+    def _find() -> Response:
+        return _answered(matrix, service, costmap_id, wanted, _whole(service))
 
     return await while_connected(request, service.plans.do(costmap_id, _find))
 
