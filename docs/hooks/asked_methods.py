@@ -17,7 +17,8 @@ class AskedMethods(griffe.Extension):
         asking = any(str(decorator.value).startswith("asks(") for decorator in func.decorators)
         if not asking or func.docstring is None or func.parent is None:
             return
-        method = getattr(getattr(import_module(func.module.path), func.parent.name), func.name)
+        module = import_module(func.module.path)
+        method = getattr(module if func.parent.is_module else getattr(module, func.parent.name), func.name)
         func.docstring.value = inspect.getdoc(method) or ""
         empty = inspect.Parameter.empty
         func.parameters = griffe.Parameters(

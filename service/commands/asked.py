@@ -13,7 +13,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
@@ -23,7 +23,7 @@ import typer
 from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.battery_file import BatteryFile, battery_values
 from joulemap.service.commands.console import Output, PlainErrors, parse_point, parse_share
-from joulemap.service.commands.options import there
+from joulemap.service.commands.options import known_model, there
 from joulemap.service.commands.route_files import PLACE
 from joulemap.service.words import capital
 
@@ -35,8 +35,16 @@ if TYPE_CHECKING:
 
 _TYPES = {"integer": int, "number": float, "string": str, "boolean": bool, "array": list}
 _METAVARS = {"m": "M", "s": "S", "w": "W", "wh": "WH", "percent": "PERCENT"}  # by the unit that a name ends with
-_NAMES = {"charges": "charge", "stops": "stop", "round_trip": "return", "within_percent": "within"}
-"""Options whose name is not that of their field; `--round-trip` is known too."""
+_NAMES = {
+    "charges": ("charge",),
+    "stops": ("stop",),
+    "round_trip": ("return", "round-trip"),
+    "within_percent": ("within",),
+    "architecture": ("arch", "architecture"),
+    "start_from": ("from", "start-from"),
+    "backbone": ("weights",),
+}
+"""Options whose names are not that of their field."""
 _FILES = {
     "avoid": "GeoJSON with areas (polygons) that no route may touch; may be given several times.",
     "path": "A path: GeoJSON, GPX, KML, a mission (.plan, .waypoints), the JSON of `joulemap path` or `tour`, or CSV "
@@ -108,32 +116,52 @@ def listed(command: Callable[..., None]) -> Callable[[], None]:
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
     """A command with the options of its requests."""
-    hints = get_type_hints(command, include_extras=True)
-    parameters: list[inspect.Parameter] = []
-    asked: dict[str, list[inspect.Parameter]] = {}
-    for name, parameter in inspect.signature(command).parameters.items():
-        kind = hints[name]
-        if get_origin(kind) is Annotated and isinstance(get_args(kind)[1], str):
-            place, *without = get_args(kind)[1].split(" -")
-            module, _, request = place.partition(":")
-            asked[name] = list(_options_of(getattr(import_module(module), request), without))
-            parameters += asked[name]
-        else:
-            parameters.append(parameter.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY))
+    whole = _part_of(command)
 
     def _command(**given: Any) -> None:
-        for name, options in asked.items():
-            typed = {option.name: given.pop(option.name) for option in options}
-            changed = {option.name for option in options if typed[option.name] != option.default}
-            wanted = Wanted(_joined(typed), frozenset(changed | ({"battery"} & typed.keys())))
-            given[name] = wanted if get_args(hints[name])[0] is Wanted else wanted.typed
         with _warnings_said():
-            command(**given)
+            whole.made(given)
 
     _command.__name__, _command.__doc__ = command.__name__, command.__doc__
-    _command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    _command.__annotations__ = {one.name: one.annotation for one in parameters}
+    _command.__signature__ = inspect.Signature(whole.options)  # type: ignore[attr-defined]
+    _command.__annotations__ = {one.name: one.annotation for one in whole.options}
     return _command
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Options, and what is made of their values, which it takes out of those that were typed."""
+
+    options: list[inspect.Parameter]
+    made: Callable[[dict[str, Any]], Any]
+
+
+def _part_of(made_of: Callable[..., Any]) -> _Part:
+    """The options of a command, or of a dataclass that several commands share."""
+    hints = get_type_hints(made_of, include_extras=True)
+    parts = {one.name: _part(one, hints[one.name]) for one in inspect.signature(made_of).parameters.values()}
+    options = [option for part in parts.values() for option in part.options]
+    return _Part(options, lambda typed: made_of(**{name: part.made(typed) for name, part in parts.items()}))
+
+
+def _part(parameter: inspect.Parameter, kind: Any) -> _Part:
+    """What a parameter is made of: one option, the fields of a request, or the fields of a dataclass."""
+    if is_dataclass(kind):
+        return _part_of(kind)  # type: ignore[arg-type]
+    if get_origin(kind) is not Annotated or not isinstance(get_args(kind)[1], str):
+        option = parameter.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY)
+        return _Part([option], lambda typed: typed.pop(parameter.name))
+    place, *without = get_args(kind)[1].split(" -")
+    module, _, request = place.partition(":")
+    options = list(_options_of(getattr(import_module(module), request), without))
+
+    def _made(typed: dict[str, Any]) -> Wanted | dict[str, Any]:
+        values = {option.name: typed.pop(option.name) for option in options}
+        changed = {option.name for option in options if values[option.name] != option.default}
+        wanted = Wanted(_joined(values), frozenset(changed | ({"battery"} & values.keys())))
+        return wanted if get_args(kind)[0] is Wanted else wanted.typed
+
+    return _Part(options, _made)
 
 
 @contextmanager
@@ -191,38 +219,43 @@ def _option(
     """The option of a number, a text, a flag, a place or a list of places."""
     from joulemap.service.questions.fields import is_place, value_of
 
-    value, flag = value_of(field), _flag(name)
+    value, names = value_of(field), flags(name)
     kind: Any = _TYPES[value["type"]]
-    names, default = [flag], ... if needed else field.get("default")
+    default = ... if needed else field.get("default")
     words: dict[str, Any] = {"help": _sentence(field, fields), **more}
     low, high = value.get("minimum"), value.get("maximum")
     if kind is list:
         several, default = not is_place(value), default or None
+        own = field.get("description")
+        own = None if own is None or own.startswith("world") else own
         words |= {
             "metavar": "X,Y..." if several else "X,Y",
             "parser": parse_point,
-            "help": f"{capital(name)}: {PLACE}.",
+            "help": f"{capital(name) if own is None else capital(own)}: {PLACE}.",
         }
         kind = list[Any] if several else Any
     elif kind is bool:
-        names = [f"{flag}/--no-{flag[2:]}"] if default else [flag, *(["--round-trip"] if name == "round_trip" else ())]
+        names = [f"{names[0]}/--no-{names[0][2:]}"] if default else names
     elif (low, high) == (0.0, 1.0):
         words |= {"metavar": "0..1", "parser": parse_share}
     elif kind in (int, float):
         share = high is not None and high <= 1.0  # the upper ends of others protect a service that many share
         words |= {"min": low if low is not None and low >= 0 else None, "max": high if share else None}
         words["metavar"] = "0..1" if share else "N" if kind is int else _METAVARS.get(name.rpartition("_")[2], "NUMBER")
+    elif value.get("format") == "path":
+        kind, words = Path, {**words, "metavar": "FILE", "callback": there}
+    elif value.get("format") == "model":
+        words |= {"metavar": "M", "callback": known_model}
     else:
-        words["metavar"] = name.upper()
+        words["metavar"] = "|".join(value["enum"]) if "enum" in value else name.upper()
     if default is None and kind is not Any:
         kind = kind | None
     return _parameter(name, Annotated[kind, typer.Option(*names, **words)], default)
 
 
-def _flag(name: str) -> str:
-    """The option of a field; a unit in its name is in its help."""
-    short = re.sub(r"_[msw]$", "", _NAMES.get(name, name))
-    return f"--{short.replace('_', '-')}"
+def flags(name: str) -> list[str]:
+    """The options of a field; a unit in its name is in its help."""
+    return [f"--{one.replace('_', '-')}" for one in _NAMES.get(name) or (re.sub(r"_[msw]$", "", name),)]
 
 
 def _sentence(field: Field, fields: Mapping[str, Field]) -> str:
@@ -230,7 +263,7 @@ def _sentence(field: Field, fields: Mapping[str, Field]) -> str:
     from joulemap.service.questions.fields import meaning_of
 
     def _called(found: re.Match[str]) -> str:
-        return _flag(found[1]) if found[1] in fields else found[0]
+        return flags(found[1])[0] if found[1] in fields else found[0]
 
     return capital(re.sub(r"`(\w+)`", _called, meaning_of(field))) + "."
 

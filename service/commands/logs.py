@@ -10,6 +10,7 @@ import typer
 
 from joulemap.model.runs.formats import formats_in_words
 from joulemap.service.commands.console import JsonFile, Output, progress_bar
+from joulemap.service.commands.drives import OdometryTrack
 from joulemap.service.commands.options import Overwrite, there
 from joulemap.service.words import duration_words, runs_words
 
@@ -34,10 +35,7 @@ def import_logs(
         Path | None,
         typer.Option("--mapping", metavar="FILE", callback=there, help="TOML file of such entries."),
     ] = None,
-    odometry: Annotated[
-        float | None,
-        typer.Option("--odometry", metavar="TRACK", help="The logs have wheel speeds and no positions: track [m]."),
-    ] = None,
+    odometry: OdometryTrack = None,
     accept_implausible: Annotated[
         bool,
         typer.Option("--accept-implausible", help="Keep numbers that are hardly in the units that they are read in."),
@@ -73,6 +71,7 @@ def import_logs(
     from joulemap.model.runs.mapping import read_mapping
     from joulemap.model.runs.odometry import Odometry
     from joulemap.service.intake.importing import import_logs as read_all
+    from joulemap.service.intake.limits import RunReading
     from joulemap.service.library.run_files import find_run_files
 
     output = Output(json_file)
@@ -97,9 +96,7 @@ def import_logs(
         found = read_all(
             list(zip(stems, files, strict=True)),
             out,
-            mapping=wanted,
-            odometry=Odometry(odometry) if odometry is not None else None,
-            accept_implausible=accept_implausible,
+            reading=RunReading(Odometry(odometry) if odometry is not None else None, wanted, accept_implausible),
             memory_mb=memory,
             picture=picture is not None,
             report=report,

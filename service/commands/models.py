@@ -2,103 +2,27 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from joulemap.model.energy.architectures import ARCHITECTURES, DEFAULT_ARCHITECTURE
 from joulemap.model.runs.words import number_words
+from joulemap.service.commands.asked import Wanted, flags
 from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, progress_bar
-from joulemap.service.commands.options import (
-    Campaign,
-    MaybeHeightmap,
-    MaybeRuns,
-    ModelName,
-    Overwrite,
-    Reading,
-    RobotFile,
-    Sites,
-    known_model,
-    named_sites,
-    refuse_to_replace,
-    robot_words,
-    there,
-)
+from joulemap.service.commands.drives import Drives
+from joulemap.service.commands.options import ModelName, Overwrite, refuse_to_replace, robot_words
 from joulemap.service.words import runs_words, turning_words
-
-Charge = Annotated[
-    bool,
-    typer.Option(
-        "--charge",
-        help="Take charge [A s] times the robot's nominal voltage as the energy, for logs whose voltage is wrong. "
-        "Logs without a voltage are always read like this.",
-    ),
-]
-Architecture = StrEnum("Architecture", {name.upper(): name for name in ARCHITECTURES})  # type: ignore[misc]
-_DEFAULT = Architecture(DEFAULT_ARCHITECTURE)
 
 
 def train(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write the model to.")],
-    heightmap: MaybeHeightmap = None,
-    runs: MaybeRuns = None,
-    site: Sites = None,
-    campaign: Campaign = None,
-    robot: RobotFile = None,
-    architecture: Annotated[
-        Architecture,
-        typer.Option(
-            "--arch", "--architecture", help="`compact` is fast and dense; `resnet18` is the paper's network."
-        ),
-    ] = _DEFAULT,
-    start_from: Annotated[
-        str | None,
-        typer.Option(
-            "--from",
-            "--start-from",
-            metavar="M",
-            callback=known_model,
-            help="Model to fine-tune: `default`, a folder, or `none` for random weights. "
-            "[default: `default` for compact, `none` for resnet18]",
-        ),
-    ] = None,
-    weights: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", callback=there, help="ResNet18 backbone with torchvision's names (ImageNet's file)."
-        ),
-    ] = None,
-    patch_size: Annotated[
-        int | None,
-        typer.Option(
-            min=32,
-            max=512,
-            metavar="N",
-            help="Rows of a resnet18 patch; 256 in the paper. [default: those of `--from`, else 64]",
-        ),
-    ] = None,
-    epochs: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Most passes over the data. [default: 12 for compact, 60 for resnet18]"),
-    ] = None,
-    charge: Charge = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue an interrupted training of the same data and settings.")
-    ] = False,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=0, metavar="N", help="The same seed and data give the same weights. [default: 0, or the shipped one's]"
-        ),
-    ] = None,
+    drives: Drives,
+    wanted: Annotated[Wanted, "joulemap.service.questions.training:TrainingOptions"],
     overwrite: Overwrite = False,
     scheduler: AsOneTask = None,
     json_file: JsonFile = None,
-    *,
-    reading: Reading,
 ) -> None:
     """Train a **model** on measured runs, for your robot on your ground.
 
@@ -117,45 +41,27 @@ def train(
 
     output = Output(json_file)
     refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
-    if heightmap is None and not runs and not site and campaign is None:
-        given = {
-            "--robot": robot,
-            "--from": start_from,
-            "--weights": weights,
-            "--patch-size": patch_size,
-            "--epochs": epochs,
-            "--charge": charge,
-            "--resume": resume,
-            "--arch": architecture is not _DEFAULT,
-        }
-        if idle := [name for name, value in given.items() if value]:
+    if not drives.named:
+        idle = [flags(name)[0] for name in wanted.typed if name in wanted and name != "seed"]
+        if drives.robot is not None:
+            idle.append("--robot")
+        if idle:
             raise typer.BadParameter(f"{', '.join(idle)}: only with runs")
         from joulemap.model.training.pretraining import DEFAULT_SEED, train_default
 
         with progress_bar("Training the shipped network") as report:
-            trained = train_default(out, seed=DEFAULT_SEED if seed is None else seed, progress=report)
+            trained = train_default(
+                out, seed=DEFAULT_SEED if (seed := wanted.typed["seed"]) is None else seed, progress=report
+            )
         output.say(f"{out}: held-out error {trained['held_out']['mean_relative_error']:.1%}", head="Trained")
         output.document({"out": str(out), **trained})
         return
     from joulemap.model.runs.segments import coverage_words
     from joulemap.service.library import models as library
 
-    sites = named_sites(heightmap, runs, site, campaign, robot, reading)
+    sites = drives.sites()
     with progress_bar("Training") as report:
-        made = library.train(
-            out=out,
-            sites=sites,
-            architecture=architecture.value,
-            start_from=start_from,
-            backbone=weights,
-            patch_size=patch_size,
-            epochs=epochs,
-            charge=charge,
-            seed=seed or 0,
-            resume=resume,
-            overwrite=overwrite,
-            progress=report,
-        ).facts
+        made = library.train(sites=sites, out=out, overwrite=overwrite, progress=report, **wanted.typed).facts
     costs = made["drive_costs"]
     driving_w = costs["driving_w"] or 0.0
     more = "less" if driving_w < 0.0 else "more"
@@ -186,16 +92,10 @@ def train(
 
 
 def evaluate(
-    heightmap: MaybeHeightmap = None,
-    runs: MaybeRuns = None,
-    site: Sites = None,
-    campaign: Campaign = None,
+    drives: Drives,
+    wanted: Annotated[dict[str, Any], "joulemap.service.questions.training:EvaluationOptions"],
     model: ModelName = "default",
-    robot: RobotFile = None,
-    charge: Charge = False,
     json_file: JsonFile = None,
-    *,
-    reading: Reading,
 ) -> None:
     """Measure how well a **model predicts measured runs**, per segment and over whole runs.
 
@@ -209,8 +109,8 @@ def evaluate(
     from joulemap.service.library import models as library
 
     output = Output(json_file)
-    sites = named_sites(heightmap, runs, site, campaign, robot, reading)
-    found = library.evaluate(sites=sites, model=model, charge=charge).document
+    sites = drives.sites()
+    found = library.evaluate(sites=sites, model=model, **wanted).document
     output.say(
         f"on {runs_words(len(found['route_relative_errors']))}: {_errors_words(found)}", head=f"Model {found['model']}"
     )

@@ -13,7 +13,6 @@ from joulemap.model.errors import ConflictError, NotFoundError
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
-    from joulemap.model.runs.sites import Site
 
 
 def png(path: Path | None) -> Path | None:
@@ -247,55 +246,3 @@ def find_runs(patterns: list[str]) -> list[Path]:
     from joulemap.service.library.run_files import find_run_files
 
     return find_run_files(patterns)
-
-
-def named_sites(
-    heightmap: Path | None,
-    runs: list[str] | None,
-    site: list[str] | None,
-    campaign: Path | None,
-    robot: Path | None,
-    reading: Mapping[str, Any],
-) -> list[Site]:
-    """Return the sites that a command line names.
-
-    Parameters
-    ----------
-    heightmap, runs : Path and list of str, optional
-        One heightmap and its runs.
-    site : list of str, optional
-        Values of `--site`.
-    campaign : Path, optional
-        A campaign file.
-    robot : Path, optional
-        Robot file of the sites that name none.
-    reading : mapping
-        How the heightmaps are to be read.
-
-    Returns
-    -------
-    list of Site
-        At least one.
-
-    Raises
-    ------
-    typer.BadParameter
-        If none or several ways of naming them are used.
-    """
-    from joulemap.model.terrain.readers import read_heightmap
-    from joulemap.service.library.sites import sites_given, sites_of_options
-
-    ways = [heightmap is not None or bool(runs), bool(site), campaign is not None]
-    if sum(ways) != 1:
-        raise typer.BadParameter("give --heightmap and --runs, or --site, or --campaign")
-    if campaign is not None:
-        return sites_given(campaign=campaign, robot=robot)
-    if site:
-        named = sites_of_options(site)
-    elif not runs:
-        raise typer.BadParameter("--heightmap and --runs go together")
-    elif heightmap is None:  # drives without positions have a ground of their own
-        return sites_given(runs=runs, robot=robot)
-    else:
-        named = [(heightmap, runs)]
-    return sites_given(sites=[(read_heightmap(ground, **reading), files) for ground, files in named], robot=robot)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,7 @@ import anyio
 
 from joulemap.model.errors import InputError
 from joulemap.model.runs.files import same_content
-from joulemap.model.runs.odometry import Odometry
-from joulemap.service.intake.limits import RunLimits
+from joulemap.service.intake.limits import RunLimits, RunReading
 from joulemap.service.intake.readers import Readers
 from joulemap.service.intake.runs import check_together
 from joulemap.service.settings import Settings
@@ -50,10 +49,8 @@ class SentFiles:
         self,
         files: Sequence[tuple[str, Path]],
         *,
+        reading: RunReading,
         heightmap_id: str | None = None,
-        odometry: Odometry | None = None,
-        mapping: Mapping[str, str] | None = None,
-        accept_implausible: bool = False,
     ) -> RunsRow:
         """Read, check and keep runs that were sent together.
 
@@ -71,9 +68,7 @@ class SentFiles:
         asked = {
             "limits_of_run": asdict(_run_limits(self.settings)),
             "crs": ground["crs"] if ground is not None else None,
-            "odometry": asdict(odometry) if odometry is not None else None,
-            "mapping": dict(mapping or {}),
-            "accept_implausible": accept_implausible,
+            "reading": reading.as_dict(),
         }
         made = [path.with_name(f"{path.name}.csv") for _, path in files]
         try:

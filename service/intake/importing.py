@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import anyio
 
-from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.table import LIMITS
-from joulemap.service.intake.limits import ReadLimits, RunLimits
+from joulemap.service.intake.limits import ReadLimits, RunLimits, RunReading
 from joulemap.service.intake.readers import Readers
 
 _SECONDS = 600.0  # of processor time for a file, and more for a large one
@@ -25,9 +24,7 @@ def import_logs(
     files: Sequence[tuple[str, Path]],
     out: Path | None,
     *,
-    mapping: Mapping[str, str],
-    odometry: Odometry | None = None,
-    accept_implausible: bool = False,
+    reading: RunReading,
     memory_mb: float = 4_000.0,
     picture: bool = False,
     report: Callable[[float], None] = lambda share: None,
@@ -36,9 +33,7 @@ def import_logs(
     limits = RunLimits(_LARGEST_MB, LIMITS.rows, LIMITS.columns, LIMITS.cells, LIMITS.text_mb, _LONGEST_KM)
     asked = {
         "limits_of_run": asdict(limits),
-        "mapping": dict(mapping),
-        "odometry": asdict(odometry) if odometry is not None else None,
-        "accept_implausible": accept_implausible,
+        "reading": reading.as_dict(),
         "any_place": True,
         "always": True,
         "picture": picture,

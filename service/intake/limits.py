@@ -1,8 +1,12 @@
-"""How much a file that was sent may ask for, while it is read and once it is read."""
+"""How a file that was sent is read, and how much it may ask for, while it is read and once it is read."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from joulemap.model.runs.odometry import Odometry
 
 _MB_PER_S = 5.0  # the slowest format, text, is read at twice this speed
 _WALL_PER_CPU = 6.0  # other work may take most of the processors, and no reader waits for anything else
@@ -55,3 +59,32 @@ class RunLimits:
     cells: int
     text_mb: float
     km: float
+
+
+@dataclass(frozen=True)
+class RunReading:
+    """How a measured run is to be read.
+
+    Attributes
+    ----------
+    odometry : Odometry or None
+        How its track is integrated from wheel speeds; None for a run with positions or a distance.
+    mapping : mapping of str to str
+        Where columns are taken from.
+    accept_implausible : bool
+        Whether it is kept if its numbers are hardly in the units that they are read in.
+    """
+
+    odometry: Odometry | None = None
+    mapping: Mapping[str, str] = field(default_factory=dict)
+    accept_implausible: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> RunReading:
+        """Return what `as_dict` wrote."""
+        track = values["odometry"]
+        return cls(None if track is None else Odometry(**track), values["mapping"], values["accept_implausible"])

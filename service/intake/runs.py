@@ -21,7 +21,7 @@ from joulemap.model.runs.table import TableLimits
 from joulemap.model.runs.table_columns import Table
 from joulemap.model.runs.writers import write_csv
 from joulemap.model.terrain.coordinate_systems import utm_zone
-from joulemap.service.intake.limits import RunLimits
+from joulemap.service.intake.limits import RunLimits, RunReading
 from joulemap.service.intake.maps import Guard
 
 _PLAIN = "CSV text"  # the format in which logs are written
@@ -68,23 +68,22 @@ def read_sent_run(
     path: str,
     name: str,
     limits_of_run: Mapping[str, Any],
+    reading: Mapping[str, Any],
     crs: str | None = None,
-    odometry: Mapping[str, Any] | None = None,
-    mapping: Mapping[str, str] | None = None,
     out: str | None = None,
-    accept_implausible: bool = False,
     any_place: bool = False,
     always: bool = False,
     picture: bool = False,
 ) -> dict[str, Any]:
     """Read one run, write it in joulemap's columns where it is in others, and return what it contains.
 
-    `picture`: whether the answer has the ``track``: x, y [m] and what is drawn [W or A], for a drawing. Result:
-    JSON-able: rows, seconds, target, further columns, number of 1 m segments, ``repairs`` and ``left_out`` (counts by
-    rule), bounds [west, south, east, north] [m], odometry, format, ``reading`` (what was taken from where),
-    ``warnings``, metres, median of the energy per metre, and whether `out` was ``written``.
+    `reading`: that of `RunReading.as_dict`. `picture`: whether the answer has the ``track``: x, y [m] and what is drawn
+    [W or A], for a drawing. Result: JSON-able: rows, seconds, target, further columns, number of 1 m segments,
+    ``repairs`` and ``left_out`` (counts by rule), bounds [west, south, east, north] [m], odometry, format, ``reading``
+    (what was taken from where), ``warnings``, metres, median of the energy per metre, and whether `out` was
+    ``written``.
     """
-    file, limits = Path(path), RunLimits(**limits_of_run)
+    file, limits, asked = Path(path), RunLimits(**limits_of_run), RunReading.from_dict(reading)
     size = file.stat().st_size
     if size > limits.mb * 1e6:
         raise TooLargeError(
@@ -94,19 +93,17 @@ def read_sent_run(
             limit_mb=limits.mb,
         )
     with guard.reading(file):
-        how = None if odometry is None else Odometry(**odometry)
         repairs: dict[str, int] = {}
-        table = read_log(file, name, repairs, limits=_table_limits(limits), mapping=mapping)
+        table = read_log(file, name, repairs, limits=_table_limits(limits), mapping=asked.mapping)
         if any_place and crs is None and "x" not in table.numbers:
             crs = _zone_of(table)
-        if how is None:
+        if asked.odometry is None:
             # a table has its columns for itself: cleaning takes some out
             run = run_of(dict(table.numbers), dict(table.texts), name=name, crs=crs, repairs=repairs)
         else:
-            run = odometry_run(
-                replace(table, numbers=dict(table.numbers), texts=dict(table.texts)), how, name=name, repairs=repairs
-            )
-        found = _about(run, name, limits, how, accept_implausible)
+            own = replace(table, numbers=dict(table.numbers), texts=dict(table.texts))
+            run = odometry_run(own, asked.odometry, name=name, repairs=repairs)
+        found = _about(run, name, limits, asked)
         found |= {"format": table.format, "reading": table.reading, "written": False}
         found["confidence"] = table.confidence
         found["first_rows"] = _first_rows(table)
@@ -156,9 +153,8 @@ def _zone_of(table: Table) -> str | None:
     return utm_zone(float(np.nanmedian(lon)), middle) or polar
 
 
-def _about(
-    run: Run, name: str, limits: RunLimits, odometry: Odometry | None, accept_implausible: bool
-) -> dict[str, Any]:
+def _about(run: Run, name: str, limits: RunLimits, asked: RunReading) -> dict[str, Any]:
+    odometry = asked.odometry
     known = np.isfinite(run.x) & np.isfinite(run.y)
     x, y = run.x[known], run.y[known]
     km = float(np.hypot(np.diff(x), np.diff(y)).sum()) / 1000.0
@@ -180,7 +176,7 @@ def _about(
         segments = cut(run, charge=not run.has_energy)
         metres = float(segments.driven_m.sum())
     wrong = implausible(run, segments)
-    if wrong and not accept_implausible:
+    if wrong and not asked.accept_implausible:
         raise RunsError(
             f"run {name} is implausible: {'; '.join(wrong)} Nothing is kept. A mapping says the unit, such as "
             "current=current:mA; `accept_implausible` keeps it as it is",

@@ -14,6 +14,8 @@ from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.run_files import RunsLike
 from joulemap.service.library.sites import SiteLike, sites_given
 from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.questions.asking import asks
+from joulemap.service.questions.training import EvaluationOptions, TrainingOptions
 from joulemap.service.words import runs_words, turning_words
 
 
@@ -81,22 +83,16 @@ class Model:
         return html_table(f"Model {self.folder}", self._rows())
 
 
+@asks(TrainingOptions)
 def train(
     ground: GroundLike | None = None,
     runs: RunsLike | None = None,
     *,
+    wanted: TrainingOptions,
     out: str | Path,
     sites: Sequence[SiteLike] | None = None,
     campaign: str | Path | None = None,
     robot: RobotLike = None,
-    architecture: str = DEFAULT_ARCHITECTURE,
-    start_from: ModelLike | None = None,
-    backbone: str | Path | None = None,
-    patch_size: int | None = None,
-    epochs: int | None = None,
-    seed: int = 0,
-    charge: bool = False,
-    resume: bool = False,
     overwrite: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Model:
@@ -117,23 +113,8 @@ def train(
         A campaign file, which lists such sites.
     robot : Robot, mapping, str, Path or None, optional
         The robot that drove.
-    architecture : str, optional
-        "compact", or "resnet18", the network of the paper.
-    start_from : str, Path or Model, optional
-        Model to fine-tune: "default", a folder, or "none" to train from random weights. By default the shipped network
-        for "compact", "none" otherwise.
-    backbone : str or Path, optional
-        File of ResNet18 weights with torchvision's names, for "resnet18".
-    patch_size : int, optional
-        Rows and columns of a patch, for "resnet18"; 256 in the paper.
-    epochs : int, optional
-        Most passes over the data.
-    seed : int, optional
-        The same seed and data give the same weights.
-    charge : bool, optional
-        Whether charge times nominal voltage is learned instead of energy, for logs whose voltage is wrong.
-    resume : bool, optional
-        Whether an interrupted training of the same data and settings is continued.
+    wanted : TrainingOptions
+        Its fields are parameters of this function.
     overwrite : bool, optional
         Whether a model that is there already is replaced.
     progress : callable, optional
@@ -164,18 +145,14 @@ def train(
     folder = Path(out)
     if not overwrite and (folder / CONFIG_FILE).exists():
         raise ConflictError(f"{folder} holds a model already: choose another folder, or say overwrite=True")
-    start = start_from if start_from is not None else ("default" if architecture == DEFAULT_ARCHITECTURE else "none")
+    usual = "default" if wanted.architecture == DEFAULT_ARCHITECTURE else "none"
     made = train_on_sites(
         sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot),
         out=folder,
-        architecture=architecture,
-        start_from=start_folder(model_folder(start)),
-        backbone=None if backbone is None else Path(backbone),
-        patch_size=patch_size,
-        epochs=epochs,
-        seed=seed,
-        charge=charge,
-        resume=resume,
+        **wanted.model_dump(include={"architecture", "patch_size", "epochs", "charge", "resume"}),
+        seed=wanted.seed or 0,
+        start_from=start_folder(wanted.start_from or usual),
+        backbone=None if wanted.backbone is None else Path(wanted.backbone),
         progress=progress,
     )
     return Model(folder, asdict(made))
@@ -227,15 +204,16 @@ class Evaluation:
         return html_table(f"Evaluation of {self.document['model']}", self._rows())
 
 
+@asks(EvaluationOptions)
 def evaluate(
     ground: GroundLike | None = None,
     runs: RunsLike | None = None,
     *,
+    wanted: EvaluationOptions,
     sites: Sequence[SiteLike] | None = None,
     campaign: str | Path | None = None,
     model: ModelLike = DEFAULT_MODEL,
     robot: RobotLike = None,
-    charge: bool = False,
 ) -> Evaluation:
     """Say how well a model predicts measured runs.
 
@@ -253,8 +231,8 @@ def evaluate(
         "default", "physics", a model's folder, or what `train` and `calibrate` return.
     robot : Robot, mapping, str, Path or None, optional
         The robot that drove.
-    charge : bool, optional
-        Whether charge times nominal voltage is compared instead of energy.
+    wanted : EvaluationOptions
+        Its fields are parameters of this function.
 
     Returns
     -------
@@ -275,4 +253,4 @@ def evaluate(
 
     predictor = find_predictor(model_folder(model))
     given = sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot)
-    return Evaluation(evaluate_on_sites(predictor, given, charge=charge))
+    return Evaluation(evaluate_on_sites(predictor, given, charge=wanted.charge))

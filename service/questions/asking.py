@@ -9,19 +9,23 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar
 
+from pydantic import BaseModel
+
 from joulemap.service.questions.fields import Field, fields_of, is_place, meaning_of, value_of
+from joulemap.service.questions.given import checked
 from joulemap.service.questions.parts import OnMap
 from joulemap.service.words import capital
 
 Answer = TypeVar("Answer")
 _TYPES = {"integer": "int", "number": "float", "string": "str", "boolean": "bool", "object": "Battery"}
+_FORMATS = {"path": "str | Path", "model": "ModelLike"}
 _WANTED = re.compile(r"^wanted : .*\n(?:    .*\n)+", re.M)
 
 
 def asks(
-    request: type[OnMap], *without: str, complete: bool = True
+    request: type[BaseModel], *without: str, complete: bool = True
 ) -> Callable[[Callable[..., Answer]], Callable[..., Answer]]:
-    """Give a method the fields of a request, but for some, as parameters in the place of its parameter `wanted`.
+    """Give a method, or a function, the fields of a request, but for some, in the place of its parameter `wanted`.
 
     Those that must be given come first, and the others are given by name. `help` and the signature show all of them,
     with the meanings that the request gives them. The method gets the request; where these fields do not make it
@@ -42,10 +46,14 @@ def asks(
         for name, field in others.items()
     ]
 
+    def make(values: dict[str, Any]) -> BaseModel:
+        return request.of(**values) if issubclass(request, OnMap) else checked(request, values)
+
     def _asking(method: Callable[..., Answer]) -> Callable[..., Answer]:
         plain = inspect.signature(method)
-        me, _, *own = plain.parameters.values()
-        signature = plain.replace(parameters=sorted([me, *first, *by_name, *own], key=lambda one: one.kind))
+        own = [one for one in plain.parameters.values() if one.name != "wanted"]
+        at = 1 if next(iter(plain.parameters)) == "self" else 0
+        signature = plain.replace(parameters=sorted([*own[:at], *first, *by_name, *own[at:]], key=lambda one: one.kind))
 
         @wraps(method)
         def _method(*args: Any, **given: Any) -> Answer:
@@ -54,7 +62,7 @@ def asks(
             except TypeError as error:
                 raise TypeError(f"{method.__name__}() {error}") from None
             values = {name: bound.pop(name) for name in fields if name in bound}
-            return method(bound.pop(me.name), request.of(**values) if complete else values, **bound)
+            return method(**bound, wanted=make(values) if complete else values)
 
         _method.__signature__ = signature  # type: ignore[attr-defined]
         entries = "".join(_described(name, field, needed=name in needed) for name, field in fields.items())
@@ -74,6 +82,9 @@ def _type_of(field: Field) -> str:
     """The type of a field, in words of Python."""
     value = value_of(field)
     if is_place(value):
-        return "Point"
-    kind = f"Sequence[{_type_of(value['items'])}]" if value["type"] == "array" else _TYPES[value["type"]]
+        kind = "Point"
+    elif value["type"] == "array":
+        kind = f"Sequence[{_type_of(value['items'])}]"
+    else:
+        kind = _FORMATS.get(value.get("format", "")) or _TYPES[value["type"]]
     return f"{kind} | None" if {"type": "null"} in field.get("anyOf", ()) else kind

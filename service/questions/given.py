@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
+from pathlib import PurePath
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -16,13 +17,15 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: tuples and arrays as lists, a battery as its fields that were given."""
+    """A value as JSON has it: tuples and arrays as lists, a battery as its fields, a model as its folder."""
     if isinstance(value, Battery):
         return {name: plain(one) for name, one in asdict(value).items() if one is not None}
     if isinstance(value, BaseModel):
         return value.model_dump(exclude_unset=True)
     if isinstance(value, Mapping):
         return {name: plain(one) for name, one in value.items()}
+    if isinstance(value, PurePath) or hasattr(value, "folder"):
+        return str(getattr(value, "folder", value))
     if hasattr(value, "tolist"):
         heights = getattr(value, "ndim", 0) == 2 and value.shape[1] == 3  # of places: NaN where unknown, not used
         return (value[:, :2] if heights else value).tolist()

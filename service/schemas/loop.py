@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AliasChoices, Field, model_validator
 
 from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.schemas.base import JobOut, Place, Problem, Request, ResponseModel, RobotIn, RobotOut
+from joulemap.service.questions.calibrating import CalibrationOptions
+from joulemap.service.schemas.base import JobOut, Problem, ResponseModel, RobotIn, RobotOut
 
 
 class OdometryOut(ResponseModel):
@@ -93,7 +94,7 @@ class RunsOut(ResponseModel):
     links: dict[str, str]
 
 
-class CalibrationRequest(Request):
+class CalibrationRequest(CalibrationOptions):
     """Which runs to compare with which model."""
 
     heightmap_id: str | None = Field(
@@ -125,26 +126,6 @@ class CalibrationRequest(Request):
         examples=["physics"],
     )
     robot: RobotIn | None = Field(default=None, description="robot that drove; default: the 4WD robot of the paper")
-    start: Place | None = Field(
-        default=None, description="start of the route that is compared before and after; default: a few pairs are tried"
-    )
-    goal: Place | None = Field(default=None, description="its goal")
-    campaigns: bool = Field(
-        default=False,
-        description="for the errors, leave out whole campaigns instead of single runs; runs of one campaign have the "
-        "same date in their name, or the same name before the last underscore (2018-11_00 and 2018-11_01)",
-    )
-    quick: bool = Field(
-        default=False,
-        description="calibrate once, without repeating everything on parts of the runs: the errors are then those of "
-        "the fit, which are too small",
-    )
-    seed: int = Field(
-        default=0,
-        ge=0,
-        le=2**31 - 1,
-        description="seed of the places that are tried for the route and the next drive",
-    )
 
     @model_validator(mode="before")
     @classmethod
@@ -153,12 +134,6 @@ class CalibrationRequest(Request):
             if isinstance(values, dict) and name in values and former in values:
                 raise ValueError(f"`{former}` is the former name of `{name}`: give one of them")
         return values
-
-    @model_validator(mode="after")
-    def _whole_task(self) -> CalibrationRequest:
-        if (self.start is None) != (self.goal is None):
-            raise ValueError("give both `start` and `goal`, or neither")
-        return self
 
 
 class CalibrationOut(JobOut):

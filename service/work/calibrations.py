@@ -1,4 +1,4 @@
-"""What a calibration does on a worker: `calibrate_on_runs` in a process of its own."""
+"""What a calibration does on a worker: in a process of its own."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.sites import Site
 from joulemap.model.runs.without_map import sites_without_map
 from joulemap.model.terrain.readers import read_sent
-from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
 from joulemap.service.loop.error_words import advice
 from joulemap.service.loop.next_words import NextStep
 from joulemap.service.loop.report_page import report_page
 from joulemap.service.loop.segments_document import segments_document
 from joulemap.service.models import CALIBRATED_FOLDER
 from joulemap.service.problems import problem_of
+from joulemap.service.questions.calibrating import CalibrationOptions, ask
 from joulemap.service.storage.sums import MODEL_SUMS, sums_of
 from joulemap.service.work.processes import end_with_parent, run
 
@@ -81,16 +81,10 @@ def main(out: Path, topic: str) -> None:
     order = json.loads((out / _ORDER).read_text(encoding="utf-8"))
     try:
         runs = _read(order, Robot.from_mapping(order["robot"]))
-        made = calibrate_on_runs(
-            order["model"],
-            runs,
-            out=out,
-            task=None if order["task"] is None else (order["task"][0], order["task"][1]),
-            groups=campaigns_of(runs.segments.runs) if order["campaigns"] else None,
-            cross_validate=not order["quick"],
-            seed=order["seed"],
-            progress=lambda share: print(topic, share, flush=True),
-        )
+        start, goal = order["task"] or (None, None)
+        options = {name: order[name] for name in ("campaigns", "quick", "seed")}
+        wanted = CalibrationOptions.model_construct(start=start, goal=goal, **options)
+        made = ask(order["model"], runs, wanted, out=out, progress=lambda share: print(topic, share, flush=True))
     except JoulemapError as error:
         (out / _PROBLEM).write_text(json.dumps(problem_of(error, order["id"])), encoding="utf-8")
         sys.exit(1)

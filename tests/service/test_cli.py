@@ -182,7 +182,7 @@ def test_a_battery_that_does_not_last_is_an_answer(folder: Path) -> None:
         (("feasibility", "{}/dem.zarr", "--start", "3.5,14.5"), 3, "start"),
         (("evaluate", "--model", "physics", "--heightmap", "{}/dem.tif", "--runs", "{}/*.log"), 5, "names no log"),
         (("train", "--out", "{}/m", "--heightmap", "{}/dem.tif"), 2, "go together"),
-        (("train", "--out", "{}/m", "--charge", "--epochs", "3"), 2, "--epochs, --charge: only with"),
+        (("train", "--out", "{}/m", "--charge", "--epochs", "3"), 2, "--charge, --epochs: only with"),
     ],
 )
 def test_an_error_is_one_line_and_a_code(folder: Path, arguments: tuple[str, ...], code: int, words: str) -> None:

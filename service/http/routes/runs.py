@@ -14,6 +14,7 @@ from joulemap.model.runs.odometry import Odometry
 from joulemap.service.http.dependencies import KernelsDep, Limit, Offset, ServiceDep
 from joulemap.service.http.documents import problems, runs_body
 from joulemap.service.http.uploads import media_type, take_raw_run, take_runs
+from joulemap.service.intake.limits import RunReading
 from joulemap.service.schemas.base import UnreadableOut, within
 from joulemap.service.schemas.kept import listed, runs_out, shown
 from joulemap.service.schemas.loop import RunsOut
@@ -81,12 +82,9 @@ async def send_runs(
         raise InputError("terrain_from_name goes with odometry_track_m", field="terrain_from_name")
     if heightmap_id is not None and odometry_track_m is not None:
         raise InputError("runs without positions belong to no heightmap: leave heightmap_id out", field="heightmap_id")
-    how: dict[str, Any] = {
-        "heightmap_id": heightmap_id,
-        "odometry": None if odometry_track_m is None else Odometry(odometry_track_m, terrain_from_name),
-        "mapping": read_mapping(entries),
-        "accept_implausible": accept_implausible,
-    }
+    odometry = None if odometry_track_m is None else Odometry(odometry_track_m, terrain_from_name)
+    reading = RunReading(odometry, read_mapping(entries), accept_implausible)
+    how: dict[str, Any] = {"heightmap_id": heightmap_id, "reading": reading}
     if media_type(request) == "multipart/form-data":
         async with request.form(max_files=service.settings.max_runs, max_fields=20) as form:
             row = await take_runs(request, form, service, **how)
