@@ -176,8 +176,21 @@ class RoutePlanner:
     ) -> tuple[EnergyMap, list[str]]:
         """Return the least energy from a start to every cell, from every cell to a goal, or over every cell.
 
-        `start`, `goal`: world x, y [m], at least one of them. `neighbours`: moves per cell, 8, 16 or 32. Result: the
-        energies [J], and where places were moved to.
+        Parameters
+        ----------
+        start, goal : tuple of float, optional
+            World x, y [m]; at least one of them.
+        neighbours : {16, 8, 32}
+            Moves per cell.
+        snap : bool, default False
+            Whether a place on blocked ground is moved to the nearest free one.
+
+        Returns
+        -------
+        energies : EnergyMap
+            Energies [J].
+        notes : list of str
+            Where places were moved to.
         """
         notes: list[str] = []
         here, there = (
@@ -198,9 +211,34 @@ class RoutePlanner:
         only_cheapest: bool = False,
         progress: Callable[[float], None] | None = None,
     ) -> tuple[Matrix, list[str]]:
-        """Return least energies between starts and goals, world x, y [m], and where places were moved to.
+        """Return the least energies between starts and goals.
 
-        A place on blocked ground is no error: its ways have that reason. Raises PointError if one is outside the map.
+        A place on blocked ground is no error: its ways have that reason.
+
+        Parameters
+        ----------
+        starts_xy, goals_xy : sequence of tuple of float
+            World x, y [m].
+        neighbours : {32, 8, 16}
+            Moves per cell.
+        snap : bool, default False
+            Whether places on blocked ground are moved to the nearest free ones.
+        only_cheapest : bool, default False
+            Whether only the goal of least energy is found for each start.
+        progress : callable, optional
+            Called with the share that is done, 0..1.
+
+        Returns
+        -------
+        matrix : Matrix
+            Energies [J], lengths [m] and reasons.
+        notes : list of str
+            Where places were moved to.
+
+        Raises
+        ------
+        PointError
+            If a place is not finite or lies outside the map.
         """
         notes: list[str] = []
 

@@ -69,9 +69,22 @@ class EnergyField:
         return self._path(start)
 
     def path_to(self, goal: Points) -> GridPath:
-        """Return the cheapest path to a place, of a field from a start. Raises NoRouteError if it is not reached.
+        """Return the cheapest path to a place, of a field from a start.
 
-        `goal` (2,): fractional (row, col).
+        Parameters
+        ----------
+        goal : ndarray of float, (2,)
+            Fractional (row, col).
+
+        Returns
+        -------
+        GridPath
+            The path and its energy [J].
+
+        Raises
+        ------
+        NoRouteError
+            If the goal cannot be reached.
         """
         return self._path(goal)
 

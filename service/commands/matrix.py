@@ -54,11 +54,10 @@ def matrix(
 
     def _asked(frame: Any) -> dict[str, Any]:
         values, notes = wanted.on(frame)
-        for name, file in (("starts", points), ("goals", goals)):
-            if file is not None:
-                values[name], more = read_path(file, frame)
-                notes += more
-        output.warn(notes)
+        for name, file in (("starts", points), ("goals", goals or points)):
+            values[name], more = read_path(file, frame)
+            notes += more
+        output.warn(dict.fromkeys(notes))
         return values
 
     if server is not None:

@@ -114,13 +114,13 @@ def calibrate(
     ground: GroundLike | None = None,
     runs: RunsLike | None = None,
     *,
-    wanted: LocalCalibration,
     out: str | Path,
     sites: Sequence[SiteLike] | None = None,
     campaign: str | Path | None = None,
     robot: RobotLike = None,
     baseline_runs: RunsLike | None = None,
     test_runs: RunsLike | None = None,
+    wanted: LocalCalibration,
     progress: Callable[[float], None] | None = None,
 ) -> CalibrationResult:
     """Find what a model lacks on measured runs, and write a model that has it.

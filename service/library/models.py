@@ -88,11 +88,11 @@ def train(
     ground: GroundLike | None = None,
     runs: RunsLike | None = None,
     *,
-    wanted: TrainingOptions,
     out: str | Path,
     sites: Sequence[SiteLike] | None = None,
     campaign: str | Path | None = None,
     robot: RobotLike = None,
+    wanted: TrainingOptions,
     overwrite: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Model:
@@ -209,11 +209,11 @@ def evaluate(
     ground: GroundLike | None = None,
     runs: RunsLike | None = None,
     *,
-    wanted: EvaluationOptions,
     sites: Sequence[SiteLike] | None = None,
     campaign: str | Path | None = None,
     model: ModelLike = DEFAULT_MODEL,
     robot: RobotLike = None,
+    wanted: EvaluationOptions,
 ) -> Evaluation:
     """Say how well a model predicts measured runs.
 

@@ -51,9 +51,11 @@ def asks(
 
     def _asking(method: Callable[..., Answer]) -> Callable[..., Answer]:
         plain = inspect.signature(method)
-        own = [one for one in plain.parameters.values() if one.name != "wanted"]
-        at = 1 if next(iter(plain.parameters)) == "self" else 0
-        signature = plain.replace(parameters=sorted([*own[:at], *first, *by_name, *own[at:]], key=lambda one: one.kind))
+        own = list(plain.parameters.values())
+        at = list(plain.parameters).index("wanted")
+        signature = plain.replace(
+            parameters=sorted([*own[:at], *first, *by_name, *own[at + 1 :]], key=lambda one: one.kind)
+        )
 
         @wraps(method)
         def _method(*args: Any, **given: Any) -> Answer:

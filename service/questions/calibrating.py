@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
 from joulemap.model.ranges import TRACK_M
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.questions.training import ModelPlace
-from joulemap.service.schemas.base import Place, Request
+from joulemap.service.schemas.base import Place, Request, RobotIn
 
 if TYPE_CHECKING:  # they take their time to load
     from collections.abc import Callable
@@ -48,6 +48,48 @@ class CalibrationOptions(Request):
         if (self.start is None) != (self.goal is None):
             raise ValueError("give both `start` and `goal`, or neither")
         return self
+
+
+class CalibrationRequest(CalibrationOptions):
+    """Which runs to compare with which model."""
+
+    heightmap_id: str | None = Field(
+        default=None,
+        max_length=100,
+        description="heightmap that the runs were driven on; leave it out for runs without positions",
+        examples=["hm-5f0c2a9d41be"],
+    )
+    runs: list[Annotated[str, Field(max_length=100)]] = Field(
+        min_length=1, max_length=100, description="ids of the runs to learn from", examples=[["runs-3b9d0c1e77aa"]]
+    )
+    baseline_runs: list[Annotated[str, Field(max_length=100)]] = Field(
+        default=[],
+        max_length=100,
+        validation_alias=AliasChoices("baseline_runs", "base_runs"),
+        description="ids of earlier runs, without what is looked for; default: those the model keeps of its training",
+    )
+    test_runs: list[Annotated[str, Field(max_length=100)]] = Field(
+        default=[],
+        max_length=100,
+        validation_alias=AliasChoices("test_runs", "aside_runs"),
+        description="ids of runs (also some of `runs`) that are not used to find or fit effects; the report has the "
+        "error on them before and after",
+    )
+    model: str = Field(
+        default=DEFAULT_MODEL,
+        max_length=100,
+        description="`physics`, `default`, or the id of a trained model",
+        examples=["physics"],
+    )
+    robot: RobotIn | None = Field(default=None, description="robot that drove; default: the 4WD robot of the paper")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_name_each(cls, values: Any) -> Any:
+        for name, former in (("baseline_runs", "base_runs"), ("test_runs", "aside_runs")):
+            if isinstance(values, dict) and name in values and former in values:
+                raise ValueError(f"`{former}` is the former name of `{name}`: give one of them")
+        return values
 
 
 class LocalCalibration(CalibrationOptions):

@@ -26,8 +26,11 @@ class MatrixRequest(OnMap):
     """From which places to which."""
 
     starts: list[Place] = Field(min_length=1, max_length=MAX_PLACES, examples=[[[12.5, 40.5], [60.0, 50.0]]])
-    goals: list[Place] | None = Field(
-        default=None, min_length=1, max_length=MAX_PLACES, description="default: the starts", examples=[[[80.0, 15.0]]]
+    goals: list[Place] = Field(
+        min_length=1,
+        max_length=MAX_PLACES,
+        description="the starts again, for the ways between all of them",
+        examples=[[[80.0, 15.0]]],
     )
     neighbours: Literal[8, 16, 32] = Field(default=32, description="directions of a step")
     only_cheapest: bool = Field(
@@ -99,7 +102,7 @@ def ask(planner: AnyPlanner, wanted: MatrixRequest, *, progress: Callable[[float
     from joulemap.service.route_uncertainty import odds_of_energies
 
     asked = on_map(in_memory(planner, "a matrix"), wanted)
-    given = {"start": wanted.starts, "goal": wanted.starts if wanted.goals is None else wanted.goals}
+    given = {"start": wanted.starts, "goal": wanted.goals}
     ends = [[asked.places(place, f"{name} {k}") for k, place in enumerate(places)] for name, places in given.items()]
     how: dict[str, Any] = {name: getattr(wanted, name) for name in ("neighbours", "snap", "only_cheapest")}
     found: Matrix

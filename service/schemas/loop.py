@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import AliasChoices, Field, model_validator
+from pydantic import Field
 
-from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.questions.calibrating import CalibrationOptions
-from joulemap.service.schemas.base import JobOut, Problem, ResponseModel, RobotIn, RobotOut
+from joulemap.service.schemas.base import JobOut, Problem, ResponseModel, RobotOut
 
 
 class OdometryOut(ResponseModel):
@@ -92,48 +90,6 @@ class RunsOut(ResponseModel):
     created_at: dt.datetime = Field(description="UTC")
     runs: list[RunOut] = Field(description="one per file")
     links: dict[str, str]
-
-
-class CalibrationRequest(CalibrationOptions):
-    """Which runs to compare with which model."""
-
-    heightmap_id: str | None = Field(
-        default=None,
-        max_length=100,
-        description="heightmap that the runs were driven on; leave it out for runs without positions",
-        examples=["hm-5f0c2a9d41be"],
-    )
-    runs: list[Annotated[str, Field(max_length=100)]] = Field(
-        min_length=1, max_length=100, description="ids of the runs to learn from", examples=[["runs-3b9d0c1e77aa"]]
-    )
-    baseline_runs: list[Annotated[str, Field(max_length=100)]] = Field(
-        default=[],
-        max_length=100,
-        validation_alias=AliasChoices("baseline_runs", "base_runs"),
-        description="ids of earlier runs, without what is looked for; default: those the model keeps of its training",
-    )
-    test_runs: list[Annotated[str, Field(max_length=100)]] = Field(
-        default=[],
-        max_length=100,
-        validation_alias=AliasChoices("test_runs", "aside_runs"),
-        description="ids of runs (also some of `runs`) that are not used to find or fit effects; the report has the "
-        "error on them before and after",
-    )
-    model: str = Field(
-        default=DEFAULT_MODEL,
-        max_length=100,
-        description="`physics`, `default`, or the id of a trained model",
-        examples=["physics"],
-    )
-    robot: RobotIn | None = Field(default=None, description="robot that drove; default: the 4WD robot of the paper")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _one_name_each(cls, values: Any) -> Any:
-        for name, former in (("baseline_runs", "base_runs"), ("test_runs", "aside_runs")):
-            if isinstance(values, dict) and name in values and former in values:
-                raise ValueError(f"`{former}` is the former name of `{name}`: give one of them")
-        return values
 
 
 class CalibrationOut(JobOut):

@@ -18,8 +18,8 @@ from pydantic import TypeAdapter, ValidationError
 from joulemap.service.http.app import create_app, openapi_document
 from joulemap.service.http.document_rules import TOGETHER
 from joulemap.service.http.documents import recorded_examples
+from joulemap.service.questions.calibrating import CalibrationRequest
 from joulemap.service.questions.feasibility import FeasibilityRequest
-from joulemap.service.schemas.loop import CalibrationRequest
 from joulemap.service.storage.keys import add_key
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.record_examples import record

@@ -23,9 +23,10 @@ from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.service import Service
 from joulemap.service.loop.calibration import campaigns_of, refuse_calibrated
 from joulemap.service.places import Places
+from joulemap.service.questions.calibrating import CalibrationRequest
 from joulemap.service.schemas.base import UnreadableOut, robot_values
 from joulemap.service.schemas.kept import calibration_out, listed, shown
-from joulemap.service.schemas.loop import CalibrationOut, CalibrationRequest, SegmentsOut
+from joulemap.service.schemas.loop import CalibrationOut, SegmentsOut
 from joulemap.service.storage.stats import frame_of_stats
 from joulemap.service.storage.tables import CALIBRATION, CalibrationRow, RunsRow
 from joulemap.service.work.calibrations import PAGE, SEGMENTS
