@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from joulemap.service.client import Client
     from joulemap.service.library.calibrations import CalibrationResult, calibrate
     from joulemap.service.library.costmaps import CostMap, StoredCostMap, costmap, open_costmap
+    from joulemap.service.library.drive import Drive
     from joulemap.service.library.feasibility import Feasibility
     from joulemap.service.library.heightmaps import heightmap, heightmap_from_runs
     from joulemap.service.library.models import Evaluation, Model, evaluate, train
@@ -39,6 +40,7 @@ __all__ = [
     "CalibrationResult",
     "Client",
     "CostMap",
+    "Drive",
     "EnergyMap",
     "Evaluation",
     "Feasibility",
@@ -73,6 +75,7 @@ _HOMES = {
     "joulemap.service.library.costmaps": ("CostMap", "StoredCostMap", "costmap", "open_costmap"),
     "joulemap.service.library.heightmaps": ("heightmap", "heightmap_from_runs"),
     "joulemap.service.library.models": ("Evaluation", "Model", "evaluate", "train"),
+    "joulemap.service.library.drive": ("Drive",),
     "joulemap.service.library.feasibility": ("Feasibility",),
     "joulemap.service.library.planned_route": ("PlannedRoute",),
     "joulemap.service.library.planned_tour": ("PlannedTour",),

@@ -66,6 +66,10 @@ class Correction(Protocol):
         """Error on left-out runs."""
 
     @property
+    def drive_prior(self) -> Mapping[str, Any] | None:
+        """What is known of a run before it is driven, JSON-able."""
+
+    @property
     def effects(self) -> list[dict[str, Any]]:
         """What is added, JSON-able."""
 
@@ -105,6 +109,7 @@ class CalibratedPredictor(Predictor):
             "base": self.base.provenance(),
             "effects": self.correction.effects,
             "spread": self.spread.as_dict(),
+            "drive_prior": self.correction.drive_prior,
         }
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:

@@ -79,6 +79,7 @@ def _written(correction: Correction) -> dict[str, Any]:
         "planner_scale": correction.planner_scale,
         "mixture": None if correction.mixture is None else correction.mixture.as_dict(),
         "reliability": None if correction.reliability is None else dict(correction.reliability),
+        "drive_prior": None if correction.drive_prior is None else dict(correction.drive_prior),
     }
 
 
@@ -99,6 +100,7 @@ def _read(values: Mapping[str, Any]) -> Correction:
             float(values.get("planner_scale", 1.0)),
             _mixture(values),
             values.get("reliability"),
+            values.get("drive_prior"),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"a calibration is not complete: {error!r}") from error

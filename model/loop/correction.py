@@ -48,6 +48,8 @@ class Correction:
         Of the terms of plans, the base model and simple models, in plans; without it the terms of plans are all.
     reliability : mapping, optional
         Of the spread, as `Reliability.as_dict`.
+    drive_prior : mapping, optional
+        What is known of a run before it is driven, as `DrivePrior.as_dict`.
     """
 
     terms: tuple[Term, ...]
@@ -64,6 +66,7 @@ class Correction:
     planner_scale: float = 1.0
     mixture: Mixture | None = None
     reliability: Mapping[str, Any] | None = None
+    drive_prior: Mapping[str, Any] | None = None
 
     @property
     def effects(self) -> list[dict[str, Any]]:

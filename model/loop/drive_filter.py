@@ -101,8 +101,11 @@ class DriveFilter:
         self._variances, self._kept = prior.variances, prior.kept
         self.mean, self.covariance = np.zeros(self._kept.size), np.diag(self._variances)
 
-    def learn(self, columns: FloatArray, measured_j: FloatArray, std_j: FloatArray) -> FloatArray:
-        """Learn from metres in driving order: columns (n, k), measured energy (n,) and standard deviations (n,) [J].
+    def learn(
+        self, columns: FloatArray, measured_j: FloatArray, std_j: FloatArray, length_m: FloatArray | None = None
+    ) -> FloatArray:
+        """Learn from rows in driving order: columns (n, k), measured energy (n,), standard deviations (n,) [J], and
+        lengths (n,), a metre each by default.
 
         Result (n,): standardised innovations, independent and of variance 1 where the model holds.
         """
@@ -112,6 +115,7 @@ class DriveFilter:
             np.square(self.prior.noise * std_j),
             self._variances,
             self._kept,
+            np.ones(len(columns)) if length_m is None else length_m,
             self.mean,
             self.covariance,
         )
@@ -129,7 +133,8 @@ def _learn(
     away_j: FloatArray,
     noise_j2: FloatArray,
     variances: FloatArray,
-    kept: FloatArray,
+    kept_per_m: FloatArray,
+    length_m: FloatArray,
     mean: FloatArray,
     covariance: FloatArray,
 ) -> FloatArray:
@@ -137,6 +142,7 @@ def _learn(
     n, q = rows.shape
     steps, gain = np.empty(n), np.empty(q)
     for i in range(n):
+        kept = kept_per_m ** length_m[i]
         for a in range(q):
             mean[a] *= kept[a]
             for b in range(q):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior
+from joulemap.model.runs.features import Features
 
 FloatArray = NDArray[np.float64]
 
@@ -27,6 +28,9 @@ PASSING_M = 20.0
 `route_errors.STRETCHES` [m]."""
 UNKNOWN = Spread(run_share=0.5)
 """Assumed where a model has seen no runs: the error of a whole route of `energy_distribution.UNSEEN_SHARE`."""
+UNFITTED = {"causes": 1.5, "passing": 0.25, "noise": 1.2, "width": 1.2}
+"""Factors on the prior of a spread where no runs were fitted. Source: `python -m tests.loop.driving fit`, simulated
+drives of the shipped network."""
 _TENTHS = np.arange(10) / 10.0
 _LEVEL = 0.9  # of the intervals that must hold
 
@@ -56,6 +60,24 @@ def prior_of_spread(spread: Spread, columns: FloatArray, std_j: FloatArray) -> D
     freedom = min((f for f in (spread.freedom, spread.run_freedom) if f is not None), default=FREEDOM)
     noise = math.sqrt(max(spread.correlation_m, 1.0))  # of sums of correlated metres
     return DrivePrior(tuple(causes.tolist()), share, PASSING_M, noise, freedom)
+
+
+def unfitted(start: DrivePrior) -> DrivePrior:
+    """Return the prior of a model whose spread is all that is known: `UNFITTED` times that."""
+    return replace(
+        start,
+        causes=tuple(UNFITTED["causes"] * cause for cause in start.causes),
+        passing=UNFITTED["passing"] * start.passing,
+        noise=UNFITTED["noise"] * start.noise,
+        width=UNFITTED["width"],
+    )
+
+
+def columns_of_rows(rows: Features, predicted_j: FloatArray) -> FloatArray:
+    """Return the columns of `CAUSES` of measured rows, (n, k) [J]; `predicted_j` (n,) [J]."""
+    level = rows.unit_j * rows.weight_length * rows.pulling
+    at_rest = rows.robot.idle_power_w * rows.duration_s
+    return cause_columns(predicted_j, rows.robot.rolling_resistance * level, rows.grade * level, at_rest)
 
 
 def fit_drive_prior(

@@ -11,6 +11,7 @@ from joulemap.planner.route import Route
 from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.feasibility import assess, judge_routes
 from joulemap.service.library.costmap_base import CostMapBase, Point
+from joulemap.service.library.drive import Drive
 from joulemap.service.library.feasibility import Feasibility
 from joulemap.service.library.planned_route import PlannedRoute
 from joulemap.service.library.planned_tour import PlannedTour
@@ -170,6 +171,32 @@ class RouteQuestions(CostMapBase):
         judged = assess(self.planner, battery=battery, path=points, round_trip=round_trip)
         ways = judged.route_out, judged.route_back
         return Feasibility(judged.verdict, *ways, warnings, battery, self.robot.nominal_voltage_v)
+
+    def drive(self, route: PlannedRoute | Route | Sequence[Point], *, battery: Battery | None = None) -> Drive:
+        """Follow a drive along a route: what the log says while driving corrects the forecast of the rest.
+
+        Parameters
+        ----------
+        route : PlannedRoute, Route or sequence of points
+            What is driven; points are world x, y [m].
+        battery : Battery, optional
+            At the start; by default the robot's own, full and without a reserve.
+
+        Returns
+        -------
+        Drive
+            With `update` and `forecast`.
+
+        Raises
+        ------
+        InputError
+            If the route has no length.
+        """
+        if isinstance(route, PlannedRoute):
+            route = route.route
+        if not isinstance(route, Route):
+            route = price_given_path(self.lattice, Places(self.lattice.frame).path(list(route)))
+        return Drive(self.lattice, route, Battery(self.robot.battery_wh) if battery is None else battery)
 
     def speeds(
         self,

@@ -249,6 +249,11 @@ def correction_of(
         given = measured_j[judged], said_j[judged], std_j[judged], run
         spread, check = checked_spread(*given, number) if found.folds else (fit_spread(*given, group=number), None)
     reliability = None if check is None else check.as_dict()
+    prior = None
+    if spread is not None and found.folds:
+        columns, std = columns_of_rows(rows.take(judged), said_j[judged]), spread.factor * std_j[judged]
+        start = prior_of_spread(spread, columns, std)
+        prior = fit_drive_prior(measured_j[judged], columns, std, run, start).as_dict()
     correction = found.fitted.correction
     turned = unit_j * turning_per_rad(correction.planner_terms, rows)
     turn, factor, mixture = turned + declared_turn, found.levels["proposed"].factor, found.mixture
@@ -264,6 +269,7 @@ def correction_of(
         scale=found.levels["after"].factor,
         planner_scale=factor,
         reliability=reliability,
+        drive_prior=prior,
     )
 
 

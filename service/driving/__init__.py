@@ -1,0 +1,1 @@
+"""A drive while it lasts: what is known of the route, what the log says, and what follows for the rest."""

@@ -1,0 +1,190 @@
+"""What is expected of the rest of a drive, and why."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+
+from joulemap.model.battery import Battery
+from joulemap.model.loop.drive_filter import CAUSES, Ahead
+from joulemap.planner.verdict.budget import judge
+from joulemap.planner.words import energy_words, probability_words
+from joulemap.service.driving.ahead import Metres
+from joulemap.service.driving.tracking import OFF_ROUTE_M, Alarm, Tracking
+
+_SURE = 0.95  # of either end of an interval
+_SUBJECT = {
+    "level": "driving takes",
+    "ground": "rolling on this ground takes",
+    "slope": "climbing takes",
+    "power": "what is on while the robot stands takes",
+}
+
+
+@dataclass(frozen=True)
+class Cause:
+    """How much more something takes in this run than planned, as a share; 90 % of its distribution lies between `low`
+    and `high`.
+    """
+
+    name: str
+    share: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What is expected of the rest of a drive.
+
+    Attributes
+    ----------
+    at_m, left_m : float
+        Where the robot is, from the start of the route, and how far its end is [m].
+    off_route_m : float
+        How far it is beside the route [m].
+    used_j : float
+        Energy drawn since the first sample [J].
+    energy_j, energy_p05_j, energy_p95_j : float
+        Energy of the rest: expected, and what 5 and 95 % of drives do not exceed [J].
+    planned_j : float
+        Energy of the rest as planned [J].
+    left_s : float
+        Time of the rest at the robot's speed [s].
+    charge, charge_at_end : float
+        State of charge now and, as expected, at the end, 0..1.
+    probability : float
+        That the battery lasts to the end with its reserve, 0.01..0.99.
+    verdict : str
+        "yes" (95 % likely, or more), "likely" (2/3), "marginal" (1/3) or "no".
+    learnt_m : float
+        Distance that was learnt from [m].
+    more : Cause
+        How much more the rest takes than planned, for what was learnt; its name is the cause that is seen, "level"
+        where none is seen alone.
+    causes : tuple of Cause
+        What is known of each cause.
+    alarms : tuple of Alarm
+        Changes that were noticed, the newest last.
+    text : str
+        All this in a sentence or two.
+    """
+
+    at_m: float
+    left_m: float
+    off_route_m: float
+    used_j: float
+    energy_j: float
+    energy_p05_j: float
+    energy_p95_j: float
+    planned_j: float
+    left_s: float
+    charge: float
+    charge_at_end: float
+    probability: float
+    verdict: str
+    learnt_m: float
+    more: Cause
+    causes: tuple[Cause, ...]
+    alarms: tuple[Alarm, ...]
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it JSON-able."""
+        return asdict(self) | {"causes": [asdict(cause) for cause in self.causes], "alarms": self.alarm_dicts()}
+
+    def alarm_dicts(self) -> list[dict[str, Any]]:
+        """Return the alarms, JSON-able, with their sentence."""
+        return [alarm._asdict() | {"text": alarm_words(alarm)} for alarm in self.alarms]
+
+
+def forecast(tracking: Tracking, ahead: Ahead, battery: Battery) -> Forecast:
+    """Return what is expected of the rest of a drive. `battery`: at the start of the drive."""
+    metres, state, known = tracking.metres, tracking.state, tracking.known()
+    mean, scale = ahead.energy(place_of(metres, state.at_m), known)
+    step = stdtrit(known.prior.freedom or math.inf, _SURE) if known.prior.freedom else 1.6449
+    spent = state.used_j if math.isnan(state.charge) else state.used_j - state.used_at_charge_j
+    begun = battery.charge if math.isnan(state.charge) else state.charge
+    charge = min(max(begun - spent / battery.full_j, 0.0), 1.0)
+    judged = judge(mean, replace(battery, charge=charge), std_j=scale, freedom=known.prior.freedom)
+    rest = metres.up_to(metres.length_m) - metres.up_to(state.at_m)
+    sizes = np.sqrt(np.diag(known.covariance))
+    causes = tuple(
+        Cause(name, float(u), float(u - step * s), float(u + step * s))
+        for name, u, s in zip(CAUSES, known.mean, sizes, strict=False)
+    )
+    more = _more(causes, known.mean[:-1], known.covariance[:-1, :-1], rest[:-2], step)
+    assert judged.probability is not None
+    found = Forecast(
+        at_m=state.at_m,
+        left_m=metres.length_m - state.at_m,
+        off_route_m=state.off_m,
+        used_j=state.used_j,
+        energy_j=mean,
+        energy_p05_j=mean - step * scale,
+        energy_p95_j=mean + step * scale,
+        planned_j=float(rest[0]),
+        left_s=float(rest[-1]),
+        charge=charge,
+        charge_at_end=judged.charge_at_end,
+        probability=judged.probability,
+        verdict=judged.verdict,
+        learnt_m=state.learnt_m,
+        more=more,
+        causes=causes,
+        alarms=state.alarms,
+        text="",
+    )
+    return replace(found, text=_words(found))
+
+
+def place_of(metres: Metres, at_m: float) -> float:
+    """Return a place in numbers of metres; the last metre may be shorter."""
+    k = min(int(at_m), len(metres.marks_m) - 2)
+    return k + (at_m - metres.marks_m[k]) / (metres.marks_m[k + 1] - metres.marks_m[k])
+
+
+def alarm_words(alarm: Alarm) -> str:
+    """Say what an alarm says."""
+    return (
+        f"Since about {alarm.since_m:.0f} m the robot takes {alarm.side} than the metres before let expect "
+        f"(noticed at {alarm.at_m:.0f} m)."
+    )
+
+
+def _more(causes: tuple[Cause, ...], mean: np.ndarray, covariance: np.ndarray, rest: np.ndarray, step: float) -> Cause:
+    """How much more the rest takes; or the cause that is seen alone, in its own share."""
+    planned = max(float(rest[0]), 1e-9)
+    share = float(rest @ mean) / planned
+    half = step * math.sqrt(max(float(rest @ covariance @ rest), 0.0)) / planned
+    seen = [c for c in causes if c.low > 0.0 or c.high < 0.0]
+    if share - half <= 0.0 <= share + half or len(seen) != 1:
+        return Cause("level", share, share - half, share + half)
+    return seen[0]
+
+
+def _words(found: Forecast) -> str:
+    more, side = found.more, "more" if found.more.share >= 0.0 else "less"
+    ends = sorted(abs(100.0 * end) for end in (more.low, more.high))
+    if more.low <= 0.0 <= more.high:
+        why = "as planned so far" if found.learnt_m else "nothing is learnt yet"
+    else:
+        why = f"{_SUBJECT[more.name]} {abs(100.0 * more.share):.0f} % {side} than planned, "
+        why += f"{ends[0]:.0f} to {ends[1]:.0f} %"
+    words = (
+        f"{found.left_m:.0f} m to go take {energy_words(found.energy_j)}, "
+        f"{found.energy_p05_j / 3600.0:.2f} to {found.energy_p95_j / 3600.0:.2f} Wh ({why}); the battery lasts: "
+        f"{probability_words(found.probability)}, {100.0 * found.charge_at_end:.0f} % left at the end."
+    )
+    if found.off_route_m > OFF_ROUTE_M:
+        words += f" The robot is {found.off_route_m:.0f} m beside its route, and nothing is learnt there."
+    if found.alarms:
+        words += f" {alarm_words(found.alarms[-1])}"
+    return words

@@ -1,0 +1,203 @@
+"""What the log of a drive says, sample by sample: where the robot is, what it took, and what that teaches the filter.
+
+Samples may come in any order within `LATE_S`: a late one is put where it belongs, and those after it are read again.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from joulemap.model.errors import InputError
+from joulemap.model.loop.drive_filter import DriveFilter, DrivePrior
+from joulemap.service.driving.ahead import BACK_M, FASTEST, Metres
+from joulemap.service.driving.alarms import Cusum, threshold_of
+
+LATE_S = 5.0
+"""A sample may be so much older than the newest [s]; an older one, and one that was there already, is not used."""
+MOST_HELD = 1000
+"""Samples that are kept for late ones: 200 a second."""
+GAP_S = 10.0
+"""Longest time between samples over which the power is interpolated and learnt from [s]."""
+OFF_ROUTE_M = 3.0
+"""Setting: beside the route by more, the robot drives over other ground, from which nothing is learnt [m]."""
+MOST_ALARMS = 20
+"""The newest alarms that are kept."""
+_ROW_M = 1.0
+
+
+class Sample(NamedTuple):
+    """A moment of a drive: time [s], world x, y [m], power drawn [W], and the state of charge 0..1, NaN if unknown."""
+
+    time_s: float
+    x: float
+    y: float
+    power_w: float
+    charge: float = math.nan
+
+
+class Alarm(NamedTuple):
+    """Something changed: where it was noticed and where it probably began [m from the start], when, and to which side:
+    "more" or "less".
+    """
+
+    at_m: float
+    since_m: float
+    time_s: float
+    side: str
+
+
+@dataclass
+class State:
+    """All that is known of a drive after some samples; the row is the stretch that is not learnt from yet."""
+
+    mean: list[float]
+    covariance: list[list[float]]
+    last: Sample | None = None
+    at_m: float = 0.0
+    off_m: float = 0.0
+    used_j: float = 0.0
+    learnt_m: float = 0.0
+    row_m: float | None = None
+    row_j: float = 0.0
+    row_s: float = 0.0
+    charge: float = math.nan
+    used_at_charge_j: float = 0.0
+    cusum: Cusum = field(default_factory=Cusum)
+    alarms: tuple[Alarm, ...] = ()
+
+
+class Tracking:
+    """Follows a drive along a route."""
+
+    def __init__(self, metres: Metres, prior: DrivePrior, idle_power_w: float, speed_mps: float) -> None:
+        self.metres, self.prior = metres, prior
+        self._idle_w, self._speed_mps = idle_power_w, speed_mps
+        self._threshold = threshold_of(metres.length_m)
+        start = DriveFilter(prior)
+        self.state = State(start.mean.tolist(), start.covariance.tolist())
+        self._recent: list[tuple[Sample, State]] = []
+        """Samples of the last `LATE_S`, and the state before each."""
+        self.unused = 0
+
+    def known(self) -> DriveFilter:
+        """Return what is known of this run."""
+        known = DriveFilter(self.prior)
+        known.mean, known.covariance = np.array(self.state.mean), np.array(self.state.covariance)
+        return known
+
+    def add(self, sample: Sample) -> None:
+        """Take in a sample."""
+        if not all(math.isfinite(value) for value in sample[:4]):
+            raise InputError(f"a sample needs finite time, place and power, got {sample}")
+        times = [one.time_s for one, _ in self._recent]
+        place = bisect_left(times, sample.time_s)
+        if place < len(times) and times[place] == sample.time_s or (not place and self._too_late(sample)):
+            self.unused += 1
+            return
+        after = [one for one, _ in self._recent[place:]]
+        if after:
+            self.state = self._recent[place][1]
+            del self._recent[place:]
+        for one in [sample, *after]:
+            self._recent.append((one, self.state))
+            self.state = self._after(self.state, one)
+        oldest = self._recent[-1][0].time_s - LATE_S
+        while len(self._recent) > MOST_HELD or self._recent[0][0].time_s < oldest:
+            self._recent.pop(0)
+
+    def _too_late(self, sample: Sample) -> bool:
+        """Whether everything that is kept was read after it."""
+        before = self._recent[0][1] if self._recent else self.state
+        return before.last is not None and sample.time_s <= before.last.time_s
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all that another process needs to go on, JSON-able."""
+        before = self._recent[0][1] if self._recent else self.state
+        return {"state": _written(before), "recent": [_plain(one) for one, _ in self._recent], "unused": self.unused}
+
+    def restore(self, values: Mapping[str, Any]) -> None:
+        """Go on from what `as_dict` wrote."""
+        self.state, self._recent = _read(values["state"]), []
+        for one in values["recent"]:
+            self.add(_sample(one))
+        self.unused = int(values["unused"])
+
+    def _after(self, before: State, sample: Sample) -> State:
+        """The state after a sample."""
+        state = replace(before, last=sample, cusum=replace(before.cusum))
+        if math.isfinite(sample.charge):
+            state.charge, state.used_at_charge_j = sample.charge, before.used_j
+        if before.last is None:
+            state.at_m, state.off_m = self.metres.nearest(sample.x, sample.y, 0.0, self.metres.length_m)
+            state.row_m = state.at_m if state.off_m <= OFF_ROUTE_M else None
+            return state
+        seconds = sample.time_s - before.last.time_s
+        energy = 0.5 * (sample.power_w + before.last.power_w) * seconds
+        state.used_j += energy
+        if before.off_m > OFF_ROUTE_M or seconds > GAP_S:  # it may be anywhere by now
+            low, high = before.at_m - BACK_M, self.metres.length_m
+        else:
+            low, high = before.at_m - BACK_M, before.at_m + BACK_M + FASTEST * self._speed_mps * seconds
+        state.at_m, state.off_m = self.metres.nearest(
+            sample.x, sample.y, max(low, 0.0), min(high, self.metres.length_m)
+        )
+        if state.off_m > OFF_ROUTE_M:
+            state.row_m = None
+        elif before.row_m is None or seconds > GAP_S or state.at_m < before.row_m - BACK_M:
+            state.row_m, state.row_j, state.row_s = state.at_m, 0.0, 0.0
+        else:
+            state.row_j += energy
+            state.row_s += seconds
+            if state.at_m - before.row_m >= _ROW_M:
+                self._learn(state, before.row_m)
+        return state
+
+    def _learn(self, state: State, begin_m: float) -> None:
+        """Learn from the row that ends here."""
+        row = self.metres.up_to(state.at_m) - self.metres.up_to(begin_m)
+        longer_j = self._idle_w * (state.row_s - float(row[-1]))  # than planned
+        columns = row[:-2] + np.array([longer_j, 0.0, 0.0, longer_j])
+        known = DriveFilter(self.prior)
+        known.mean, known.covariance = np.array(state.mean), np.array(state.covariance)
+        length = np.array([state.at_m - begin_m])
+        steps = known.learn(columns[None], np.array([state.row_j]), np.sqrt(row[-2:-1]), length)
+        found = state.cusum.add(float(steps[0]), begin_m, self._threshold)
+        if found is not None:
+            assert state.last is not None
+            alarm = Alarm(state.at_m, found[1], state.last.time_s, found[0])
+            state.alarms = (*state.alarms, alarm)[-MOST_ALARMS:]
+            known.doubt()
+        state.mean, state.covariance = known.mean.tolist(), known.covariance.tolist()
+        state.learnt_m += float(length[0])
+        state.row_m, state.row_j, state.row_s = state.at_m, 0.0, 0.0
+
+
+def _plain(sample: Sample) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in sample]
+
+
+def _sample(values: list[float | None]) -> Sample:
+    return Sample(*(math.nan if value is None else value for value in values))
+
+
+def _written(state: State) -> dict[str, Any]:
+    last = None if state.last is None else _plain(state.last)
+    return asdict(state) | {"last": last, "charge": state.charge if math.isfinite(state.charge) else None}
+
+
+def _read(values: Mapping[str, Any]) -> State:
+    return State(
+        **{
+            **values,
+            "last": None if values["last"] is None else _sample(values["last"]),
+            "charge": math.nan if values["charge"] is None else values["charge"],
+            "cusum": Cusum(**values["cusum"]),
+            "alarms": tuple(Alarm(*alarm) for alarm in values["alarms"]),
+        }
+    )

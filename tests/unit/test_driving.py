@@ -1,0 +1,145 @@
+"""Learning while driving: the filter against its batch fit, and a drive through the Python package."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import joulemap as jm
+from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior
+from joulemap.service.driving.alarms import Cusum, threshold_of
+
+PRIOR = DrivePrior((0.2, 0.3, 0.1, 0.4), passing=0.1, passing_m=7.0, noise=1.3)
+
+
+def rows(n: int = 60) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns of causes, standard deviations, and energies with errors of less than the limit of outliers."""
+    rng = np.random.default_rng(3)
+    columns = np.abs(rng.normal([50.0, 25.0, 10.0, 20.0], 5.0, (n, 4)))
+    std = rng.uniform(4.0, 9.0, n)
+    return columns, std, columns[:, 0] + columns @ [0.1, 0.2, -0.1, 0.3] + 0.5 * std * rng.standard_normal(n)
+
+
+def covariance_of(columns: np.ndarray, std: np.ndarray, prior: DrivePrior) -> np.ndarray:
+    """Of all metres, written out: random slopes, a level that passes, independent errors."""
+    apart = np.abs(np.subtract.outer(np.arange(len(std)), np.arange(len(std))))
+    level = np.outer(columns[:, 0], columns[:, 0]) * prior.passing**2 * np.exp(-apart / prior.passing_m)
+    return (columns * np.square(prior.causes)) @ columns.T + level + np.diag((prior.noise * std) ** 2)
+
+
+def test_after_all_rows_the_filter_knows_what_the_batch_fit_with_the_same_prior_does() -> None:
+    columns, std, measured = rows()
+    known = DriveFilter(PRIOR)
+    steps = known.learn(columns, measured, std)
+    assert np.abs(steps).max() < 3.0  # no metre counts less, so that least squares is the same estimate
+    gain = np.square(PRIOR.causes)[:, None] * columns.T @ np.linalg.inv(covariance_of(columns, std, PRIOR))
+    assert known.mean[:4] == pytest.approx(gain @ (measured - columns[:, 0]), rel=1e-9)
+    expected = np.diag(np.square(PRIOR.causes)) - gain @ columns * np.square(PRIOR.causes)
+    assert known.covariance[:4, :4] == pytest.approx(expected, rel=1e-7, abs=1e-12)
+
+
+def test_the_energy_of_the_rest_is_that_of_the_joint_distribution_of_all_metres() -> None:
+    columns, std, measured = rows()
+    known, driven = DriveFilter(PRIOR), 25
+    known.learn(columns[:driven], measured[:driven], std[:driven])
+    mean, scale = Ahead.of(PRIOR, columns, std).energy(float(driven), known)
+    joint, ones = covariance_of(columns, std, PRIOR), np.ones(len(std) - driven)
+    given = np.linalg.solve(joint[:driven, :driven], joint[:driven, driven:] @ ones)
+    away = (measured - columns[:, 0])[:driven]
+    assert mean == pytest.approx(columns[driven:, 0].sum() + given @ away, rel=1e-9)
+    variance = ones @ joint[driven:, driven:] @ ones - given @ joint[:driven, driven:] @ ones
+    assert scale == pytest.approx(np.sqrt(variance), rel=1e-9)
+
+
+def test_unchanged_drives_raise_as_many_alarms_as_stated_and_a_change_is_found() -> None:
+    rng, metres = np.random.default_rng(5), 400
+    threshold, alarms, late = threshold_of(metres), 0, []
+    for _ in range(400):
+        sums = Cusum()
+        alarms += any(sums.add(step, float(k), threshold) for k, step in enumerate(rng.standard_normal(metres)))
+        changed, k = Cusum(), 0
+        while changed.add(1.5 + rng.standard_normal(), float(k), threshold) is None:
+            k += 1
+        late.append(k)
+    assert 0.01 < alarms / 400 < 0.09  # 5 % are stated
+    assert np.median(late) < 20
+
+
+def flat() -> jm.CostMap:
+    """Level ground of 120 x 40 m for a model of rolling alone."""
+    return jm.costmap(jm.heightmap(np.zeros((40, 120)), resolution_m=1.0), model="physics")
+
+
+def driven(drive: jm.Drive, factor: float, *, until_m: float = 60.0, step_s: float = 0.5) -> list[tuple]:
+    """Samples of a drive from x = 10 m at 0.5 m/s whose motion takes a factor of the plan."""
+    robot = drive.lattice.robot
+    power = robot.idle_power_w + factor * (drive.route.energy_j / drive.route.duration_s - robot.idle_power_w)
+    times = np.arange(0.0, until_m / 0.5, step_s)
+    return [(float(t), (10.0 + 0.5 * t, 20.0), power) for t in times]
+
+
+def test_a_drive_that_takes_more_is_known_and_said() -> None:
+    costs = flat()
+    drive = costs.drive([(10.0, 20.0), (110.0, 20.0)])
+    before = drive.forecast()
+    assert before.energy_j == pytest.approx(drive.route.energy_j)
+    assert before.energy_p05_j < before.planned_j < before.energy_p95_j
+    for time_s, position, power in driven(drive, 1.4):
+        drive.update(time_s, position, power_w=power)
+    now, true = drive.forecast(), power / 0.5
+    assert now.at_m == pytest.approx(59.75) and now.used_j == pytest.approx(power * 119.5)
+    assert now.energy_j == pytest.approx(true * now.left_m, rel=0.03)
+    assert now.energy_p95_j - now.energy_p05_j < before.energy_p95_j - before.energy_p05_j
+    assert "more than planned" in now.text and now.more.low > 0.0
+    assert now.charge == pytest.approx(1.0 - now.used_j / (3600.0 * costs.robot.battery_wh))
+
+
+def test_a_route_over_the_updated_map_costs_what_is_forecast() -> None:
+    drive = flat().drive([(10.0, 20.0), (110.0, 20.0)])
+    for time_s, position, power in driven(drive, 1.3):
+        drive.update(time_s, position, power_w=power)
+    again = drive.costmap().plan((70.0, 20.0), (110.0, 20.0))
+    assert again.energy_j / 40.0 == pytest.approx(drive.forecast().energy_j / drive.forecast().left_m, rel=0.02)
+    assert drive.better_route() is None  # all of the ground is as dear
+
+
+def test_late_and_repeated_samples_change_nothing() -> None:
+    in_order, mixed = (flat().drive([(10.0, 20.0), (110.0, 20.0)]) for _ in range(2))
+    samples = driven(in_order, 1.3)
+    for time_s, position, power in samples:
+        in_order.update(time_s, position, power_w=power)
+    rng = np.random.default_rng(1)
+    order = sorted(range(len(samples)), key=lambda k: samples[k][0] + rng.uniform(0.0, 3.0))
+    for k in [*order, *order[-5:], 0]:
+        mixed.update(samples[k][0], samples[k][1], power_w=samples[k][2])
+    assert mixed.forecast() == in_order.forecast()
+    assert mixed.tracking.unused == 6
+
+
+def test_another_process_goes_on_where_the_first_one_was() -> None:
+    first, second = (flat().drive([(10.0, 20.0), (110.0, 20.0)]) for _ in range(2))
+    samples = driven(first, 1.3)
+    for time_s, position, power in samples[:60]:
+        first.update(time_s, position, power_w=power)
+    second.restore(json.loads(json.dumps(first.as_dict(), allow_nan=False)))
+    for time_s, position, power in samples[60:]:
+        first.update(time_s, position, power_w=power)
+        second.update(time_s, position, power_w=power)
+    assert second.forecast() == first.forecast()
+
+
+def test_a_lost_payload_raises_an_alarm_within_metres() -> None:
+    drive = flat().drive([(10.0, 20.0), (110.0, 20.0)])
+    for k, (time_s, position, power) in enumerate(driven(drive, 1.0, until_m=90.0)):
+        drive.update(time_s, position, power_w=power * (0.6 if k > 160 else 1.0))
+    (alarm,) = drive.forecast().alarms
+    assert alarm.side == "less" and 40.0 < alarm.at_m < 60.0
+
+
+def test_beside_the_route_nothing_is_learnt() -> None:
+    drive = flat().drive([(10.0, 20.0), (110.0, 20.0)])
+    for time_s, (x, y), power in driven(drive, 3.0):
+        drive.update(time_s, (x, y + 8.0), power_w=power)
+    assert drive.forecast().learnt_m == 0.0 and "beside its route" in drive.forecast().text
