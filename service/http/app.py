@@ -25,6 +25,7 @@ from joulemap.service.http.routes import (
     calibrations,
     contents,
     costmaps,
+    drives,
     heightmaps,
     job_progress,
     layers,
@@ -79,6 +80,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         runs,
         calibrations,
         job_progress,
+        drives,
         layers,
     ):
         app.include_router(module.router, prefix="/v1")

@@ -13,6 +13,7 @@ from joulemap.model.errors import BusyError, JoulemapError, NotFoundError
 from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.http.access_at_once import AtOnce
 from joulemap.service.http.connections import Connections
+from joulemap.service.http.driving import Drives, look_at_drives
 from joulemap.service.http.health import NOT_YET, OK, Health
 from joulemap.service.http.job_events import JobEvents, look_into
 from joulemap.service.http.kernels import Kernels
@@ -58,8 +59,10 @@ class Service(SentFiles, Made):
         self.plans = plan_queue(settings, self.maps, self.metrics.saw_work)
         self.prices = price_queue(settings, self.maps, self.metrics.saw_work)
         self.job_events = JobEvents(look_into(self.store))
+        self.drive_events = JobEvents(look_at_drives(self.store))
+        self.drives = Drives(self.maps)
         self.connections = Connections(
-            settings.max_connections, stalled_s=settings.stalled_s, on_stop=self.job_events.end
+            settings.max_connections, stalled_s=settings.stalled_s, on_stop=self._end_events
         )
         self.answered = AtOnce("connections", settings.most_client_connections, "JOULEMAP_CLIENT_CONNECTIONS")
         self.streams = AtOnce("event streams", settings.most_client_streams, "JOULEMAP_CLIENT_STREAMS")
@@ -133,6 +136,10 @@ class Service(SentFiles, Made):
         """
         served = not self.settings.resolved_database_url.startswith("sqlite")
         return served and self.health.results()["database"] not in (OK, NOT_YET)
+
+    def _end_events(self) -> None:
+        self.job_events.end()
+        self.drive_events.end()
 
     def _check_workers(self) -> None:
         """Raise BusyError where nobody can do jobs."""

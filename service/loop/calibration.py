@@ -20,6 +20,7 @@ from joulemap.model.errors import ConflictError, InfeasibleError, InputError
 from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.loop.calibration_file import save_calibrated
 from joulemap.model.loop.correction import Correction
+from joulemap.model.loop.drive_prior import columns_of_rows, fit_drive_prior, prior_of_spread
 from joulemap.model.loop.report import report_document
 from joulemap.model.loop.terms import turning_per_rad
 from joulemap.model.robot import Robot

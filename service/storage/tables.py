@@ -162,6 +162,33 @@ class CalibrationRow(JobRow):
     heightmap_id: Mapped[str | None] = mapped_column(ForeignKey("heightmaps.id"))
 
 
+class DriveRow(Base):
+    """A drive that is followed over a cost map, which may be deleted meanwhile.
+
+    Attributes
+    ----------
+    request : dict
+        The route and the battery.
+    updates : int
+        How often `state` was replaced: who replaces another one than he read does so in vain.
+    state, forecast : dict
+        What is known of the drive, and of its rest.
+    """
+
+    __tablename__ = "drives"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    created_at: Mapped[dt.datetime]
+    owner: Mapped[str | None] = mapped_column(index=True)
+    costmap_id: Mapped[str] = mapped_column(index=True)
+    request: Mapped[dict[str, Any]] = mapped_column(JSON)
+    updates: Mapped[int] = mapped_column(default=0)
+    state: Mapped[dict[str, Any]] = mapped_column(JSON)
+    forecast: Mapped[dict[str, Any]] = mapped_column(JSON)
+
+
+DRIVE = "dr"
+"""How the ids of drives begin."""
 COSTMAP, CALIBRATION = "cm", "cal"
 """Kinds of jobs: how their ids begin."""
 JOBS: dict[str, type[CostmapRow] | type[CalibrationRow]] = {COSTMAP: CostmapRow, CALIBRATION: CalibrationRow}

@@ -1,0 +1,146 @@
+"""Drives that are followed: over HTTP, after kill -9, and by `joulemap follow`."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+import joulemap as jm
+from joulemap.service.cli import main
+from tests.service.clusters import free_port
+from tests.service.conftest import GOAL, START
+
+POWER_W = 90.0
+
+
+def samples(path: list[list[float]], until_m: float) -> list[dict[str, Any]]:
+    """A robot at 0.5 m/s along a path, twice a second."""
+    corners = np.array(path)[:, :2]
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(corners, axis=0).T)))
+    places = np.arange(0.0, until_m, 0.25)
+    x, y = (np.interp(places, along, axis) for axis in corners.T)
+    return [
+        {"time_s": 2.0 * at, "position": [px, py], "power_w": POWER_W}
+        for at, px, py in zip(places.tolist(), x.tolist(), y.tolist(), strict=True)
+    ]
+
+
+@pytest.fixture
+def path(client: TestClient, costmap_id: str) -> list[list[float]]:
+    found = client.post(f"/v1/costmaps/{costmap_id}/paths", json={"start": START, "goal": GOAL}).json()
+    return found["path"]
+
+
+def test_a_drive_is_followed_and_its_forecast_corrects_itself(
+    client: TestClient, costmap_id: str, path: list[list[float]]
+) -> None:
+    begun = client.post(f"/v1/costmaps/{costmap_id}/drives", json={"path": path, "battery": {"charge": 0.5}})
+    assert begun.status_code == 201, begun.text
+    drive, url = begun.json(), f"/v1/drives/{begun.json()['id']}"
+    assert drive["forecast"]["energy_j"] == pytest.approx(drive["forecast"]["planned_j"])
+    log = samples(path, 15.0)
+    now = client.post(f"{url}/updates", json={"samples": log}).json()
+    assert now["updates"] == 1 and now["forecast"]["at_m"] == pytest.approx(14.75, abs=0.3)
+    assert now["forecast"]["used_j"] == pytest.approx(POWER_W * log[-1]["time_s"])
+    assert now["forecast"]["charge"] < 0.5
+    assert client.get(url).json() == now
+    again = client.post(f"{url}/updates", json={"samples": log[-5:]}).json()
+    assert again["forecast"] == now["forecast"]  # what was sent before changes nothing
+    assert drive["id"] in [one["id"] for one in client.get("/v1/drives").json()["items"]]
+    assert client.delete(url).status_code == 204
+    assert client.get(url).status_code == 404
+
+
+def test_a_sample_without_power_is_refused_and_nothing_of_its_request_is_kept(
+    client: TestClient, costmap_id: str, path: list[list[float]]
+) -> None:
+    drive = client.post(f"/v1/costmaps/{costmap_id}/drives", json={"path": path}).json()
+    wrong = [*samples(path, 3.0), {"time_s": 9.0, "position": path[0]}]
+    refused = client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": wrong})
+    assert refused.status_code == 422 and "power_w" in refused.text
+    beyond = [*samples(path, 3.0), {"time_s": 99.0, "position": [1e6, 1e6], "power_w": 1.0}]
+    client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": beyond})
+    assert client.get(f"/v1/drives/{drive['id']}").json()["updates"] in (0, 1)
+
+
+def test_nothing_acknowledged_is_lost_by_kill_9(tmp_path: Path, hill_tif: bytes) -> None:
+    port = free_port()
+    settings = {"JOULEMAP_DATA_DIR": str(tmp_path), "JOULEMAP_PORT": str(port), "JOULEMAP_WARM_MODELS": "[]"}
+
+    def _serve() -> subprocess.Popen[bytes]:
+        return subprocess.Popen([sys.executable, "-m", "joulemap.service.cli", "serve"], env={**os.environ, **settings})
+
+    with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=120.0) as web:
+        first = _serve()
+        try:
+            _until_ready(web)
+            ground = web.post("/v1/heightmaps", content=hill_tif).json()
+            wanted = {"heightmap_id": ground["id"], "model": "physics", "headings": 8}
+            costs = web.post("/v1/costmaps", json=wanted, headers={"Prefer": "wait=100"}).json()
+            way = web.post(f"/v1/costmaps/{costs['id']}/paths", json={"start": START, "goal": GOAL}).json()["path"]
+            drive = web.post(f"/v1/costmaps/{costs['id']}/drives", json={"path": way}).json()
+            log = samples(way, 16.0)
+            for k in range(8):
+                said = web.post(f"/v1/drives/{drive['id']}/updates", json={"samples": log[4 * k : 4 * k + 4]}).json()
+        finally:
+            first.send_signal(signal.SIGKILL)
+            first.wait()
+        second = _serve()
+        try:
+            _until_ready(web)
+            assert web.get(f"/v1/drives/{drive['id']}").json() == said
+            end = web.post(f"/v1/drives/{drive['id']}/updates", json={"samples": log[32:]}).json()
+            whole = web.post(f"/v1/costmaps/{costs['id']}/drives", json={"path": way}).json()
+            at_once = web.post(f"/v1/drives/{whole['id']}/updates", json={"samples": log}).json()
+            assert end["forecast"] == at_once["forecast"]
+            with web.stream("GET", f"/v1/drives/{drive['id']}/events") as stream:
+                lines = stream.iter_lines()
+                assert next(line for line in lines if line.startswith("event")) == "event: forecast"
+                data = json.loads(next(line for line in lines if line.startswith("data")).partition(":")[2])
+                assert data["forecast"] == end["forecast"]
+        finally:
+            second.kill()
+            second.wait()
+
+
+def _until_ready(web: httpx.Client) -> None:
+    for _ in range(600):
+        try:
+            if web.get("/readyz").status_code == 200:
+                return
+        except httpx.TransportError:
+            pass
+        time.sleep(0.5)
+    raise AssertionError("the service did not become ready")
+
+
+def test_a_log_is_replayed_as_if_live(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    costs = jm.costmap(jm.heightmap(np.zeros((40, 120)), resolution_m=1.0), model="physics")
+    costs.save(tmp_path / "flat.zarr")
+    route = [[10.0, 20.0], [110.0, 20.0]]
+    (tmp_path / "route.csv").write_text("x_m,y_m\n" + "\n".join(f"{x},{y}" for x, y in route) + "\n")
+    lines = [f"{s['time_s']},{s['position'][0]},{s['position'][1]},{s['power_w']}" for s in samples(route, 60.0)]
+    (tmp_path / "log.csv").write_text("t,x,y,power\n" + "\n".join(lines) + "\n")
+    with pytest.raises(SystemExit) as ended:
+        sys.argv = [
+            "joulemap", "follow", str(tmp_path / "log.csv"), "--map", str(tmp_path / "flat.zarr"),
+            "--route", str(tmp_path / "route.csv"), "--charge", "0.4", "--json", str(tmp_path / "out.json"),
+        ]  # fmt: skip
+        main()
+    assert ended.value.code == 0, capsys.readouterr()
+    said = json.loads((tmp_path / "out.json").read_text())
+    assert len(said["forecasts"]) == 6
+    end = said["end"]
+    assert end["energy_j"] == pytest.approx(POWER_W / 0.5 * end["left_m"], rel=0.05)
+    assert "more than planned" in capsys.readouterr().out
