@@ -14,13 +14,16 @@ from joulemap.service.commands.options import there
 
 
 def follow(
-    log: Annotated[Path, typer.Argument(metavar="LOG", callback=there, help="The log of a drive, of any known format.")],
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", callback=there, help="The log of a drive, of any known format.")
+    ],
     wanted: Annotated[Wanted, "joulemap.service.questions.drive:DriveRequest -path -avoid"],
     costmap: Annotated[
         Path, typer.Option("--map", metavar="MAP.zarr", callback=there, help="The cost map of the plan.")
     ],
     route: Annotated[
-        Path, typer.Option("--route", metavar="FILE", callback=there, help="The route that was driven, as for `--path`.")
+        Path,
+        typer.Option("--route", metavar="FILE", callback=there, help="The route that was driven, as for `--path`."),
     ],
     speed: Annotated[
         float | None,

@@ -97,7 +97,7 @@ class Tracking:
             raise InputError(f"a sample needs finite time, place and power, got {sample}")
         times = [one.time_s for one, _ in self._recent]
         place = bisect_left(times, sample.time_s)
-        if place < len(times) and times[place] == sample.time_s or (not place and self._too_late(sample)):
+        if (place < len(times) and times[place] == sample.time_s) or (not place and self._too_late(sample)):
             self.unused += 1
             return
         after = [one for one, _ in self._recent[place:]]

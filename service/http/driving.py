@@ -13,11 +13,11 @@ from typing import Any
 from sqlalchemy import select
 
 from joulemap.model.errors import ConflictError
+from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.http.job_events import JobState, Look
 from joulemap.service.http.open_maps import OpenMaps
 from joulemap.service.library.drive import Drive
 from joulemap.service.places import Places
-from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.questions.drive import DriveRequest, UpdateRequest
 from joulemap.service.questions.parts import battery_of
 from joulemap.service.storage.store import Store

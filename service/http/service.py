@@ -61,9 +61,7 @@ class Service(SentFiles, Made):
         self.job_events = JobEvents(look_into(self.store))
         self.drive_events = JobEvents(look_at_drives(self.store))
         self.drives = Drives(self.maps)
-        self.connections = Connections(
-            settings.max_connections, stalled_s=settings.stalled_s, on_stop=self._end_events
-        )
+        self.connections = Connections(settings.max_connections, stalled_s=settings.stalled_s, on_stop=self._end_events)
         self.answered = AtOnce("connections", settings.most_client_connections, "JOULEMAP_CLIENT_CONNECTIONS")
         self.streams = AtOnce("event streams", settings.most_client_streams, "JOULEMAP_CLIENT_STREAMS")
         queues = [self.plans, self.prices]

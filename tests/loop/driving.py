@@ -1,8 +1,9 @@
 """Forecasts while driving: `python -m tests.loop.driving [simulated|real|fit|speed] ...`.
 
-`simulated`: drives of the shipped network on sites that it never saw, with a hidden change: more rolling resistance from
-the start, a payload from half way on, a cold battery, none. `real`: drives of real robots, each with a model that had no
-part of it, beside three rivals. `fit`: the factors of `drive_prior.UNFITTED`. `speed`: updates with forecast a second.
+`simulated`: drives of the shipped network on sites that it never saw, with a hidden change: more rolling resistance
+from the start, a payload from half way on, a cold battery, none. `real`: drives of real robots, each with a model that
+had no part of it, beside three rivals. `fit`: the factors of `drive_prior.UNFITTED`. `speed`: updates with forecast a
+second.
 """
 
 from __future__ import annotations
@@ -181,13 +182,18 @@ def fit(count: int) -> None:
     """Print the factors of `UNFITTED`."""
     drives = [d["none"] for d in simulated(count, FIT_SEED)]
     start, found = fitted_to(drives, load_predictor("default").spread)
-    print(f"causes {found.causes[0] / start.causes[0]:.2f}, passing {found.passing / start.passing:.2f}")
-    print(f"length {found.passing_m / start.passing_m:.2f}, noise {found.noise / start.noise:.2f}, width {found.width:.2f}")
+    sizes = [(found.causes[0], start.causes[0]), (found.passing, start.passing), (found.passing_m, start.passing_m)]
+    causes, passing, length, noise = (new / old for new, old in [*sizes, (found.noise, start.noise)])
+    print(
+        f"causes {causes:.2f}, passing {passing:.2f}, length {length:.2f}, noise {noise:.2f}, width {found.width:.2f}"
+    )
 
 
 def fitted_to(drives: Sequence[Driven], spread: Spread) -> tuple[DrivePrior, DrivePrior]:
     """The prior of a spread, and what drives make of it."""
-    columns, std, measured = (np.concatenate([getattr(d, key) for d in drives]) for key in ("columns", "std", "measured"))
+    columns, std, measured = (
+        np.concatenate([getattr(d, key) for d in drives]) for key in ("columns", "std", "measured")
+    )
     start = prior_of_spread(spread, columns, std)
     run = np.repeat(np.arange(len(drives)), [len(d.std) for d in drives])
     return start, fit_drive_prior(measured, columns, std, run, start)
@@ -211,9 +217,7 @@ def real(name: str) -> list[tuple[Driven, DrivePrior]]:
     out = []
     for one in np.unique(group):
         others, mine = moving & (group != one), moving & (group == one)
-        spread = fit_spread(
-            energy[others], said[others], measured.std[others], rows.run[others], group=group[others]
-        )
+        spread = fit_spread(energy[others], said[others], measured.std[others], rows.run[others], group=group[others])
         std = spread.factor * measured.std
         start = prior_of_spread(spread, columns[others], std[others])
         prior = fit_drive_prior(energy[others], columns[others], std[others], rows.run[others], start)

@@ -15,9 +15,10 @@ import httpx
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from typer.testing import CliRunner
 
 import joulemap as jm
-from joulemap.service.cli import main
+from joulemap.service.cli import app
 from tests.service.clusters import free_port
 from tests.service.conftest import GOAL, START
 
@@ -51,7 +52,8 @@ def test_a_drive_is_followed_and_its_forecast_corrects_itself(
     assert drive["forecast"]["energy_j"] == pytest.approx(drive["forecast"]["planned_j"])
     log = samples(path, 15.0)
     now = client.post(f"{url}/updates", json={"samples": log}).json()
-    assert now["updates"] == 1 and now["forecast"]["at_m"] == pytest.approx(14.75, abs=0.3)
+    assert now["updates"] == 1
+    assert now["forecast"]["at_m"] == pytest.approx(14.75, abs=0.3)
     assert now["forecast"]["used_j"] == pytest.approx(POWER_W * log[-1]["time_s"])
     assert now["forecast"]["charge"] < 0.5
     assert client.get(url).json() == now
@@ -68,7 +70,8 @@ def test_a_sample_without_power_is_refused_and_nothing_of_its_request_is_kept(
     drive = client.post(f"/v1/costmaps/{costmap_id}/drives", json={"path": path}).json()
     wrong = [*samples(path, 3.0), {"time_s": 9.0, "position": path[0]}]
     refused = client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": wrong})
-    assert refused.status_code == 422 and "power_w" in refused.text
+    assert refused.status_code == 422
+    assert "power_w" in refused.text
     beyond = [*samples(path, 3.0), {"time_s": 99.0, "position": [1e6, 1e6], "power_w": 1.0}]
     client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": beyond})
     assert client.get(f"/v1/drives/{drive['id']}").json()["updates"] in (0, 1)
@@ -125,22 +128,19 @@ def _until_ready(web: httpx.Client) -> None:
     raise AssertionError("the service did not become ready")
 
 
-def test_a_log_is_replayed_as_if_live(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_is_replayed_as_if_live(tmp_path: Path) -> None:
     costs = jm.costmap(jm.heightmap(np.zeros((40, 120)), resolution_m=1.0), model="physics")
     costs.save(tmp_path / "flat.zarr")
     route = [[10.0, 20.0], [110.0, 20.0]]
     (tmp_path / "route.csv").write_text("x_m,y_m\n" + "\n".join(f"{x},{y}" for x, y in route) + "\n")
     lines = [f"{s['time_s']},{s['position'][0]},{s['position'][1]},{s['power_w']}" for s in samples(route, 60.0)]
     (tmp_path / "log.csv").write_text("t,x,y,power\n" + "\n".join(lines) + "\n")
-    with pytest.raises(SystemExit) as ended:
-        sys.argv = [
-            "joulemap", "follow", str(tmp_path / "log.csv"), "--map", str(tmp_path / "flat.zarr"),
-            "--route", str(tmp_path / "route.csv"), "--charge", "0.4", "--json", str(tmp_path / "out.json"),
-        ]  # fmt: skip
-        main()
-    assert ended.value.code == 0, capsys.readouterr()
+    arguments = [tmp_path / "log.csv", "--map", tmp_path / "flat.zarr", "--route", tmp_path / "route.csv"]
+    arguments += ["--charge", "0.4", "--json", tmp_path / "out.json"]
+    result = CliRunner().invoke(app, ["follow", *map(str, arguments)])
+    assert result.exit_code == 0, result.output
     said = json.loads((tmp_path / "out.json").read_text())
     assert len(said["forecasts"]) == 6
     end = said["end"]
     assert end["energy_j"] == pytest.approx(POWER_W / 0.5 * end["left_m"], rel=0.05)
-    assert "more than planned" in capsys.readouterr().out
+    assert "more than planned" in result.output

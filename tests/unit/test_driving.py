@@ -89,10 +89,12 @@ def test_a_drive_that_takes_more_is_known_and_said() -> None:
     for time_s, position, power in driven(drive, 1.4):
         drive.update(time_s, position, power_w=power)
     now, true = drive.forecast(), power / 0.5
-    assert now.at_m == pytest.approx(59.75) and now.used_j == pytest.approx(power * 119.5)
+    assert now.at_m == pytest.approx(59.75)
+    assert now.used_j == pytest.approx(power * 119.5)
     assert now.energy_j == pytest.approx(true * now.left_m, rel=0.03)
     assert now.energy_p95_j - now.energy_p05_j < before.energy_p95_j - before.energy_p05_j
-    assert "more than planned" in now.text and now.more.low > 0.0
+    assert "more than planned" in now.text
+    assert now.more.low > 0.0
     assert now.charge == pytest.approx(1.0 - now.used_j / (3600.0 * costs.robot.battery_wh))
 
 
@@ -135,11 +137,13 @@ def test_a_lost_payload_raises_an_alarm_within_metres() -> None:
     for k, (time_s, position, power) in enumerate(driven(drive, 1.0, until_m=90.0)):
         drive.update(time_s, position, power_w=power * (0.6 if k > 160 else 1.0))
     (alarm,) = drive.forecast().alarms
-    assert alarm.side == "less" and 40.0 < alarm.at_m < 60.0
+    assert alarm.side == "less"
+    assert 40.0 < alarm.at_m < 60.0
 
 
 def test_beside_the_route_nothing_is_learnt() -> None:
     drive = flat().drive([(10.0, 20.0), (110.0, 20.0)])
     for time_s, (x, y), power in driven(drive, 3.0):
         drive.update(time_s, (x, y + 8.0), power_w=power)
-    assert drive.forecast().learnt_m == 0.0 and "beside its route" in drive.forecast().text
+    assert drive.forecast().learnt_m == 0.0
+    assert "beside its route" in drive.forecast().text
