@@ -29,6 +29,8 @@ CAUSES = ("level", "ground", "slope", "power")
 lifted, and of the power at rest."""
 OUTLIER = 3.0
 """Standard deviations beyond which a metre counts less (Huber's weights): 1 in 370 of a normal variable."""
+_LIMIT, _LIMITED_STD = 1.345, 0.8426
+"""Of Huber (1964), and the standard deviation of a normal variable that is limited so."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,8 @@ class DrivePrior:
         Degrees of freedom of Student's t of forecasts; None for a normal distribution.
     width : float
         Factor on the scale of forecasts, so that intervals hold what they say.
+    change_std : float
+        Standard deviation that sums of limited innovations have over that of independent ones.
     """
 
     causes: tuple[float, ...]
@@ -57,12 +61,13 @@ class DrivePrior:
     noise: float = 1.0
     freedom: float | None = None
     width: float = 1.0
+    change_std: float = 1.0
 
     def __post_init__(self) -> None:
         sizes = (*self.causes, self.passing)
         if len(self.causes) != len(CAUSES) or not all(math.isfinite(size) and size >= 0.0 for size in sizes):
             raise ModelError(f"a drive needs {len(CAUSES) + 1} standard deviations of at least 0, got {sizes}")
-        for name in ("passing_m", "noise", "width"):
+        for name in ("passing_m", "noise", "width", "change_std"):
             if not getattr(self, name) > 0.0:
                 raise ModelError(f"{name} of a drive must be positive, got {getattr(self, name)}")
 
@@ -125,6 +130,13 @@ class DriveFilter:
         between runs.
         """
         self.covariance = np.diag(np.maximum(np.diag(self.covariance), self._variances))
+
+
+def limited(steps: FloatArray) -> FloatArray:
+    """Return innovations (n,) that are limited by Huber's function, so that one wild reading is no change; of variance
+    1 where they were normal.
+    """
+    return np.clip(steps, -_LIMIT, _LIMIT) / _LIMITED_STD
 
 
 @njit(cache=True)

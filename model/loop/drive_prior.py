@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.uncertainty import Spread
-from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior
+from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior, limited
 from joulemap.model.runs.features import Features
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +28,7 @@ PASSING_M = 20.0
 `route_errors.STRETCHES` [m]."""
 UNKNOWN = Spread(run_share=0.5)
 """Assumed where a model has seen no runs: the error of a whole route of `energy_distribution.UNSEEN_SHARE`."""
-UNFITTED = {"causes": 1.5, "passing": 0.25, "noise": 1.2, "width": 1.2}
+UNFITTED = {"causes": 1.5, "passing": 0.25, "noise": 1.2, "width": 1.2, "change_std": 1.2}
 """Factors on the prior of a spread where no runs were fitted. Source: `python -m tests.loop.driving fit`, simulated
 drives of the shipped network."""
 _TENTHS = np.arange(10) / 10.0
@@ -70,6 +70,7 @@ def unfitted(start: DrivePrior) -> DrivePrior:
         passing=UNFITTED["passing"] * start.passing,
         noise=UNFITTED["noise"] * start.noise,
         width=UNFITTED["width"],
+        change_std=UNFITTED["change_std"],
     )
 
 
@@ -116,7 +117,19 @@ def fit_drive_prior(
     found = _prior(minimize(_loss, np.zeros(4), method="Nelder-Mead", options=options).x)
     away = np.sort(np.abs(_forecasts(found, parts)[0]))
     held = float(away[min(away.size - 1, math.ceil((away.size + 1) * _LEVEL) - 1)])
-    return replace(found, width=max(1.0, held / float(student.ppf(0.5 + 0.5 * _LEVEL, start.freedom or FREEDOM))))
+    width = max(1.0, held / float(student.ppf(0.5 + 0.5 * _LEVEL, start.freedom or FREEDOM)))
+    return replace(found, width=width, change_std=_change_std(found, parts))
+
+
+def _change_std(prior: DrivePrior, parts: list[tuple[FloatArray, FloatArray, FloatArray]]) -> float:
+    """Standard deviation of sums of limited innovations over `PASSING_M` rows, over that of independent ones; at least
+    1.
+    """
+    count, sums = int(PASSING_M), []
+    for part in parts:
+        steps = limited(DriveFilter(prior).learn(*part))
+        sums += [steps[at : at + count].sum() for at in range(0, len(steps) - count + 1, count)]
+    return max(1.0, math.sqrt(float(np.mean(np.square(sums))) / count)) if sums else 1.0
 
 
 def _forecasts(

@@ -1,7 +1,7 @@
 """Whether something has changed: a cumulative sum of standardised innovations, to either side.
 
-Innovations are limited (Huber 1964), so that one wild reading is no change, and the threshold is that at which so many
-metres without a change raise an alarm with the stated probability.
+The threshold is that at which so many metres without a change raise an alarm with the stated probability. Innovations
+are limited, and measured by what their sums vary on runs without a change: real ones are not quite independent.
 
 Reference: Page 1954, "Continuous inspection schemes". Siegmund 1985, "Sequential Analysis", equation 2.57 (the average
 run length).
@@ -16,7 +16,6 @@ FALSE_ALARMS = 0.05
 """Setting: share of drives without a change in which an alarm is raised."""
 SLACK = 0.5
 """Half of the shift that is found soonest, in standard deviations: a change of one."""
-_LIMIT, _STD = 1.345, 0.8426  # of a limited normal variable: Huber 1964
 
 
 @dataclass
@@ -29,17 +28,16 @@ class Cusum:
     below_m: float = 0.0
 
     def add(self, step: float, at_m: float, threshold: float) -> tuple[str, float] | None:
-        """Add a standardised innovation of the row that begins at a place.
+        """Add a limited innovation, of variance 1, of the row that begins at a place.
 
         Result: "more" or "less" and where the change began [m], once a sum is above the threshold; both begin again.
         """
-        limited = max(-_LIMIT, min(_LIMIT, step)) / _STD
         if self.above == 0.0:
             self.above_m = at_m
         if self.below == 0.0:
             self.below_m = at_m
-        self.above = max(0.0, self.above + limited - SLACK)
-        self.below = max(0.0, self.below - limited - SLACK)
+        self.above = max(0.0, self.above + step - SLACK)
+        self.below = max(0.0, self.below - step - SLACK)
         if max(self.above, self.below) <= threshold:
             return None
         found = ("more", self.above_m) if self.above > self.below else ("less", self.below_m)

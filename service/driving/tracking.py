@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from joulemap.model.errors import InputError
-from joulemap.model.loop.drive_filter import DriveFilter, DrivePrior
+from joulemap.model.loop.drive_filter import DriveFilter, DrivePrior, limited
 from joulemap.service.driving.ahead import BACK_M, FASTEST, Metres
 from joulemap.service.driving.alarms import Cusum, threshold_of
 
@@ -167,7 +167,7 @@ class Tracking:
         known.mean, known.covariance = np.array(state.mean), np.array(state.covariance)
         length = np.array([state.at_m - begin_m])
         steps = known.learn(columns[None], np.array([state.row_j]), np.sqrt(row[-2:-1]), length)
-        found = state.cusum.add(float(steps[0]), begin_m, self._threshold)
+        found = state.cusum.add(float(limited(steps)[0]) / self.prior.change_std, begin_m, self._threshold)
         if found is not None:
             assert state.last is not None
             alarm = Alarm(state.at_m, found[1], state.last.time_s, found[0])

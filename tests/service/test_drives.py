@@ -39,8 +39,9 @@ def samples(path: list[list[float]], until_m: float) -> list[dict[str, Any]]:
 
 @pytest.fixture
 def path(client: TestClient, costmap_id: str) -> list[list[float]]:
-    found = client.post(f"/v1/costmaps/{costmap_id}/paths", json={"start": START, "goal": GOAL}).json()
-    return found["path"]
+    found = client.post(f"/v1/costmaps/{costmap_id}/paths", json={"start": START, "goal": GOAL})
+    assert found.status_code == 200, found.text
+    return found.json()["path"]
 
 
 def test_a_drive_is_followed_and_its_forecast_corrects_itself(

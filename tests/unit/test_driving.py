@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import joulemap as jm
-from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior
+from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior, limited
 from joulemap.service.driving.alarms import Cusum, threshold_of
 
 PRIOR = DrivePrior((0.2, 0.3, 0.1, 0.4), passing=0.1, passing_m=7.0, noise=1.3)
@@ -58,9 +58,11 @@ def test_unchanged_drives_raise_as_many_alarms_as_stated_and_a_change_is_found()
     threshold, alarms, late = threshold_of(metres), 0, []
     for _ in range(400):
         sums = Cusum()
-        alarms += any(sums.add(step, float(k), threshold) for k, step in enumerate(rng.standard_normal(metres)))
+        alarms += any(
+            sums.add(step, float(k), threshold) for k, step in enumerate(limited(rng.standard_normal(metres)))
+        )
         changed, k = Cusum(), 0
-        while changed.add(1.5 + rng.standard_normal(), float(k), threshold) is None:
+        while changed.add(limited(1.5 + rng.standard_normal(1))[0], float(k), threshold) is None:
             k += 1
         late.append(k)
     assert 0.01 < alarms / 400 < 0.09  # 5 % are stated
