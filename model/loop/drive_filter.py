@@ -52,7 +52,7 @@ class DrivePrior:
     width : float
         Factor on the scale of forecasts, so that intervals hold what they say.
     change_std : float
-        Standard deviation that sums of limited innovations have over that of independent ones.
+        By which limited innovations are measured, so that alarms are as rare on runs without a change as stated.
     """
 
     causes: tuple[float, ...]

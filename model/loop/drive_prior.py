@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.loop.drive_alarms import FALSE_ALARMS, Cusum, threshold_of
 from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior, limited
 from joulemap.model.runs.features import Features
 
@@ -28,10 +29,11 @@ PASSING_M = 20.0
 `route_errors.STRETCHES` [m]."""
 UNKNOWN = Spread(run_share=0.5)
 """Assumed where a model has seen no runs: the error of a whole route of `energy_distribution.UNSEEN_SHARE`."""
-UNFITTED = {"causes": 1.5, "passing": 0.25, "noise": 1.2, "width": 1.2, "change_std": 1.2}
-"""Factors on the prior of a spread where no runs were fitted. Source: `python -m tests.loop.driving fit`, simulated
-drives of the shipped network."""
+UNFITTED = {"causes": 5.6, "passing": 0.54, "passing_m": 0.73, "noise": 1.65, "width": 1.09, "change_std": 1.5}
+"""Factors on the prior of a spread where no runs were fitted. Source: `python -m tests.loop.driving fit --count 60`,
+simulated drives of the shipped network."""
 _TENTHS = np.arange(10) / 10.0
+_CHANGE_STDS = np.geomspace(0.5, 5.0, 24).tolist()  # a tenth from one to the next
 _LEVEL = 0.9  # of the intervals that must hold
 
 
@@ -64,14 +66,8 @@ def prior_of_spread(spread: Spread, columns: FloatArray, std_j: FloatArray) -> D
 
 def unfitted(start: DrivePrior) -> DrivePrior:
     """Return the prior of a model whose spread is all that is known: `UNFITTED` times that."""
-    return replace(
-        start,
-        causes=tuple(UNFITTED["causes"] * cause for cause in start.causes),
-        passing=UNFITTED["passing"] * start.passing,
-        noise=UNFITTED["noise"] * start.noise,
-        width=UNFITTED["width"],
-        change_std=UNFITTED["change_std"],
-    )
+    causes = tuple(UNFITTED["causes"] * cause for cause in start.causes)
+    return replace(start, causes=causes, **{n: f * getattr(start, n) for n, f in UNFITTED.items() if n != "causes"})
 
 
 def columns_of_rows(rows: Features, predicted_j: FloatArray) -> FloatArray:
@@ -122,14 +118,17 @@ def fit_drive_prior(
 
 
 def _change_std(prior: DrivePrior, parts: list[tuple[FloatArray, FloatArray, FloatArray]]) -> float:
-    """Standard deviation of sums of limited innovations over `PASSING_M` rows, over that of independent ones; at least
-    1.
-    """
-    count, sums = int(PASSING_M), []
-    for part in parts:
-        steps = limited(DriveFilter(prior).learn(*part))
-        sums += [steps[at : at + count].sum() for at in range(0, len(steps) - count + 1, count)]
-    return max(1.0, math.sqrt(float(np.mean(np.square(sums))) / count)) if sums else 1.0
+    """The least measure of innovations by which no more than `FALSE_ALARMS` of these runs raise an alarm."""
+    runs = [limited(DriveFilter(prior).learn(*part)).tolist() for part in parts]
+
+    def _raised(std: float) -> float:
+        alarms = 0
+        for steps in runs:
+            sums, threshold = Cusum(), threshold_of(float(len(steps)))
+            alarms += any(sums.add(step / std, 0.0, threshold) is not None for step in steps)
+        return alarms / len(runs)
+
+    return next((std for std in _CHANGE_STDS if _raised(std) <= FALSE_ALARMS), _CHANGE_STDS[-1])
 
 
 def _forecasts(

@@ -17,7 +17,7 @@ def follow(
     log: Annotated[
         Path, typer.Argument(metavar="LOG", callback=there, help="The log of a drive, of any known format.")
     ],
-    wanted: Annotated[Wanted, "joulemap.service.questions.drive:DriveRequest -path -avoid"],
+    wanted: Annotated[Wanted, "joulemap.service.questions.drive:DriveRequest -path"],
     costmap: Annotated[
         Path, typer.Option("--map", metavar="MAP.zarr", callback=there, help="The cost map of the plan.")
     ],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,5 +113,7 @@ def prior_of(lattice: CostLattice, metres: Metres) -> DrivePrior:
     model = lattice.provenance.get("model", {})
     if (fitted := model.get("drive_prior")) is not None:
         return DrivePrior.from_dict(fitted)
-    spread = UNKNOWN if model.get("spread") is None else Spread.from_dict(model["spread"])
-    return unfitted(prior_of_spread(spread, metres.columns, metres.std_j))
+    if model.get("spread") is not None:
+        return unfitted(prior_of_spread(Spread.from_dict(model["spread"]), metres.columns, metres.std_j))
+    start = prior_of_spread(UNKNOWN, metres.columns, metres.std_j)
+    return replace(unfitted(start), causes=start.causes)  # it is as wide as a model may be that has seen no runs

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from joulemap.model.errors import InputError
+from joulemap.model.loop.drive_alarms import Cusum, threshold_of
 from joulemap.model.loop.drive_filter import DriveFilter, DrivePrior, limited
 from joulemap.service.driving.ahead import BACK_M, FASTEST, Metres
-from joulemap.service.driving.alarms import Cusum, threshold_of
 
 LATE_S = 5.0
 """A sample may be so much older than the newest [s]; an older one, and one that was there already, is not used."""

@@ -13,6 +13,7 @@ from typing import Any
 from sqlalchemy import select
 
 from joulemap.model.errors import ConflictError
+from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.http.job_events import JobState, Look
 from joulemap.service.http.open_maps import OpenMaps
@@ -55,7 +56,7 @@ class Drives:
 
     def begin(self, store: Store, costmap_id: str, wanted: DriveRequest) -> DriveRow:
         """Begin to follow a drive."""
-        request = wanted.model_dump(mode="json", exclude={"robot", "avoid"})
+        request = wanted.model_dump(mode="json", exclude_none=True)
         drive = self._made(costmap_id, request)
         return store.add_drive(costmap_id, request, drive.as_dict(), drive.forecast().as_dict())
 
@@ -79,9 +80,12 @@ class Drives:
         raise ConflictError(f"drive {drive_id} is updated by others at the same moment: send the samples again")
 
     def _made(self, costmap_id: str, request: Mapping[str, Any]) -> Drive:
-        lattice = self._maps.planner(costmap_id).lattice
-        route = price_given_path(lattice, Places(lattice.frame).path(request["path"]))
-        return Drive(lattice, route, battery_of(request["battery"], lattice.robot))
+        with self._maps.for_pricing(costmap_id) as planner:
+            points = Places(planner.lattice.frame).path(request["path"])
+            if isinstance(planner, StoredPlanner):
+                planner.read_along(points)
+            route = price_given_path(planner.lattice, points)
+            return Drive(planner.lattice, route, battery_of(request.get("battery"), planner.lattice.robot))
 
     def _known(self, drive_id: str) -> _Open:
         with self._lock:

@@ -7,8 +7,8 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from joulemap.model.ranges import BATTERY, Range
-from joulemap.service.questions.parts import BatteryIn, OnMap
-from joulemap.service.schemas.base import ClosedModel, GivenPath, Place, within
+from joulemap.service.questions.parts import BatteryIn
+from joulemap.service.schemas.base import GivenPath, Place, Request, within
 
 MOST_SAMPLES = 5000
 """In one request."""
@@ -18,7 +18,7 @@ VOLTAGE_V = Range(0.0, 1e4)
 CURRENT_A = Range(-1e5, 1e5)
 
 
-class DriveRequest(OnMap):
+class DriveRequest(Request):
     """A route, and the battery at its start."""
 
     path: GivenPath = Field(min_length=2, max_length=100_000, description="the route, world points [m], in order")
@@ -27,7 +27,7 @@ class DriveRequest(OnMap):
     )
 
 
-class SampleIn(ClosedModel):
+class SampleIn(Request):
     """A moment of a drive, in any order within five seconds."""
 
     time_s: Annotated[float, within(TIME_S)] = Field(description="when, by any clock that runs on [s]", examples=[12.5])
@@ -52,7 +52,7 @@ class SampleIn(ClosedModel):
         return self
 
 
-class UpdateRequest(ClosedModel):
+class UpdateRequest(Request):
     """What the log of a drive says since the last update. A sample that was sent before changes nothing."""
 
     samples: list[SampleIn] = Field(min_length=1, max_length=MOST_SAMPLES)

@@ -25,6 +25,7 @@ from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.simulation import simulate_segments
 from joulemap.model.field.sites import random_site
 from joulemap.model.loop.calibrate import calibrate
+from joulemap.model.loop.drive_alarms import Cusum, threshold_of
 from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior, limited
 from joulemap.model.loop.drive_prior import (
     cause_columns,
@@ -35,7 +36,6 @@ from joulemap.model.loop.drive_prior import (
 )
 from joulemap.model.runs.describe import planned_features
 from joulemap.model.training.simulated_set import MAX_SLOPE_DEG, level_ground
-from joulemap.service.driving.alarms import Cusum, threshold_of
 from joulemap.service.loop.measured import measure
 from tests.coverage.real import real_folder
 from tests.coverage.simulated import _robot

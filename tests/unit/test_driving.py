@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import joulemap as jm
+from joulemap.model.loop.drive_alarms import Cusum, threshold_of
 from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior, limited
-from joulemap.service.driving.alarms import Cusum, threshold_of
 
 PRIOR = DrivePrior((0.2, 0.3, 0.1, 0.4), passing=0.1, passing_m=7.0, noise=1.3)
 

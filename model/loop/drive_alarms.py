@@ -1,7 +1,7 @@
 """Whether something has changed: a cumulative sum of standardised innovations, to either side.
 
 The threshold is that at which so many metres without a change raise an alarm with the stated probability. Innovations
-are limited, and measured by what their sums vary on runs without a change: real ones are not quite independent.
+are limited, and measured so that this holds on runs without a change: real ones are not quite independent.
 
 Reference: Page 1954, "Continuous inspection schemes". Siegmund 1985, "Sequential Analysis", equation 2.57 (the average
 run length).
@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 FALSE_ALARMS = 0.05
 """Setting: share of drives without a change in which an alarm is raised."""
-SLACK = 0.5
-"""Half of the shift that is found soonest, in standard deviations: a change of one."""
+SLACK = 0.25
+"""Setting: half of the shift that is found soonest, in standard deviations of a metre; 30 % of the energy are about
+half a standard deviation of the shipped network's metres."""
 
 
 @dataclass
