@@ -116,4 +116,4 @@ def prior_of(lattice: CostLattice, metres: Metres) -> DrivePrior:
     if model.get("spread") is not None:
         return unfitted(prior_of_spread(Spread.from_dict(model["spread"]), metres.columns, metres.std_j))
     start = prior_of_spread(UNKNOWN, metres.columns, metres.std_j)
-    return replace(unfitted(start), causes=start.causes)  # it is as wide as a model may be that has seen no runs
+    return replace(start, passing=USUAL_SPREAD)  # what differs between runs is all of the error that is assumed

@@ -10,6 +10,7 @@ from collections import OrderedDict
 from collections.abc import Collection, Mapping
 from typing import Any
 
+import numpy as np
 from sqlalchemy import select
 
 from joulemap.model.errors import ConflictError
@@ -56,7 +57,10 @@ class Drives:
 
     def begin(self, store: Store, costmap_id: str, wanted: DriveRequest) -> DriveRow:
         """Begin to follow a drive."""
-        request = wanted.model_dump(mode="json", exclude_none=True)
+        with self._maps.for_pricing(costmap_id) as planner:
+            points = Places(planner.lattice.frame).path(wanted.path)
+        battery = None if wanted.battery is None else wanted.battery.model_dump(exclude_none=True)
+        request = {"path": points.tolist(), "battery": battery}
         drive = self._made(costmap_id, request)
         return store.add_drive(costmap_id, request, drive.as_dict(), drive.forecast().as_dict())
 
@@ -81,11 +85,11 @@ class Drives:
 
     def _made(self, costmap_id: str, request: Mapping[str, Any]) -> Drive:
         with self._maps.for_pricing(costmap_id) as planner:
-            points = Places(planner.lattice.frame).path(request["path"])
+            points = np.array(request["path"])
             if isinstance(planner, StoredPlanner):
                 planner.read_along(points)
             route = price_given_path(planner.lattice, points)
-            return Drive(planner.lattice, route, battery_of(request.get("battery"), planner.lattice.robot))
+            return Drive(planner.lattice, route, battery_of(request["battery"], planner.lattice.robot))
 
     def _known(self, drive_id: str) -> _Open:
         with self._lock:

@@ -184,9 +184,8 @@ def fit(count: int) -> None:
     start, found = fitted_to(drives, load_predictor("default").spread)
     sizes = [(found.causes[0], start.causes[0]), (found.passing, start.passing), (found.passing_m, start.passing_m)]
     causes, passing, length, noise = (new / old for new, old in [*sizes, (found.noise, start.noise)])
-    print(
-        f"causes {causes:.2f}, passing {passing:.2f}, length {length:.2f}, noise {noise:.2f}, width {found.width:.2f}"
-    )
+    print(f"causes {causes:.2f}, passing {passing:.2f}, passing_m {length:.2f}, noise {noise:.2f}")
+    print(f"width {found.width:.2f}, change_std {found.change_std:.2f}")
 
 
 def fitted_to(drives: Sequence[Driven], spread: Spread) -> tuple[DrivePrior, DrivePrior]:
