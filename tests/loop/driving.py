@@ -198,14 +198,16 @@ def fitted_to(drives: Sequence[Driven], spread: Spread) -> tuple[DrivePrior, Dri
     return start, fit_drive_prior(measured, columns, std, run, start)
 
 
-def real(name: str) -> list[tuple[Driven, DrivePrior]]:
+def real(name: str, parts: int) -> list[tuple[Driven, DrivePrior]]:
     """Drives of a data set, each with the prediction of a calibration without its campaign, and with the prior that
-    the other campaigns show.
+    the other campaigns show; campaigns are left out in so many parts.
     """
     folder = real_folder()
     if folder is None:
         raise SystemExit("there are no real runs here (set JOULEMAP_REAL_DATA to their folder)")
     runs, campaigns = REAL[name](folder)
+    known = sorted(set(campaigns))
+    campaigns = [f"part {known.index(one) % parts}" for one in campaigns]
     measured = measure("physics", PhysicsPredictor(), runs)
     groups = campaigns if len(set(campaigns)) < len(campaigns) else None
     found, rows = calibrate(measured.residuals, electric=measured.electric, groups=groups), measured.residuals
@@ -227,11 +229,11 @@ def real(name: str) -> list[tuple[Driven, DrivePrior]]:
     return out
 
 
-def show_real(names: Sequence[str]) -> None:
+def show_real(names: Sequence[str], parts: int) -> None:
     """Drives of real robots."""
     print(HEAD)
     for name in names:
-        drives = real(name)
+        drives = real(name, parts)
         print(line(f"{name}, {len(drives)} drives", followed(drives)), flush=True)
 
 
@@ -264,9 +266,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("what", choices=("simulated", "real", "fit", "speed"))
     parser.add_argument("names", nargs="*", default=["drive", "cuadriga"], help=f"of {', '.join(REAL)}")
     parser.add_argument("--count", type=int, default=60, help="simulated robots")
+    parser.add_argument("--parts", type=int, default=40, help="in which real campaigns are left out")
     options = parser.parse_args(arguments)
     if options.what == "real":
-        show_real(options.names)
+        show_real(options.names, options.parts)
     elif options.what == "speed":
         speed()
     else:
