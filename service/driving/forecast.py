@@ -21,7 +21,7 @@ _SUBJECT = {
     "level": "driving takes",
     "ground": "rolling on this ground takes",
     "slope": "climbing takes",
-    "power": "what is on while the robot stands takes",
+    "power": "the power at rest takes",
 }
 
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import joulemap as jm
+from joulemap.model.loop.calibration_file import read_calibrated, save_calibrated
+from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.drive_alarms import Cusum, threshold_of
 from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior, limited
+from joulemap.model.loop.drive_prior import fit_drive_prior
 
 PRIOR = DrivePrior((0.2, 0.3, 0.1, 0.4), passing=0.1, passing_m=7.0, noise=1.3)
 
@@ -149,3 +153,28 @@ def test_beside_the_route_nothing_is_learnt() -> None:
         drive.update(time_s, (x, y + 8.0), power_w=power)
     assert drive.forecast().learnt_m == 0.0
     assert "beside its route" in drive.forecast().text
+
+
+def test_the_prior_of_runs_that_differ_much_is_wider_than_thought_and_travels_with_the_model(tmp_path: Path) -> None:
+    rng, runs, metres = np.random.default_rng(2), 30, 80
+    run = np.repeat(np.arange(runs), metres)
+    columns = np.abs(rng.normal([50.0, 25.0, 10.0, 20.0], 5.0, (run.size, 4)))
+    std = np.full(run.size, 8.0)
+    measured = columns[:, 0] * (1.0 + 0.4 * rng.standard_normal(runs)[run]) + std * rng.standard_normal(run.size)
+    start = DrivePrior((0.03, 0.03, 0.03, 0.03), passing=0.03, freedom=6.0)
+    found = fit_drive_prior(measured, columns, std, run, start)
+    assert found.causes[0] > 2.0 * start.causes[0]
+    inside = []
+    for one in range(runs):
+        mine, known = run == one, DriveFilter(found)
+        known.learn(columns[mine][:20], measured[mine][:20], std[mine][:20])
+        mean, scale = Ahead.of(found, columns[mine], std[mine]).energy(20.0, known)
+        inside.append(abs(measured[mine][20:].sum() - mean) < 1.943 * scale)  # 90 % of Student's t of 6
+    assert 0.8 <= np.mean(inside) <= 1.0
+    save_calibrated(tmp_path, Correction((), (), drive_prior=found.as_dict()), {"name": "physics", "version": "1"})
+    kept = read_calibrated(tmp_path)[0].drive_prior
+    assert kept is not None
+    assert DrivePrior.from_dict(kept) == found
+    costs = flat()
+    costs.lattice.provenance["model"]["drive_prior"] = kept
+    assert costs.drive([(10.0, 20.0), (110.0, 20.0)]).tracking.prior == found
