@@ -24,7 +24,13 @@ from tests.service.conftest import GOAL, START, hill, settings_for
 from tests.service.test_calibrations import ROBOT, hills, run_csv
 
 FILE = Path(__file__).resolve().parents[2] / "service" / "http" / "examples.json"
-IDS = {"hm": "hm-5f0c2a9d41be", "cm": "cm-0d4b8f6a2c17", "runs": "runs-3b9d0c1e77aa", "cal": "cal-2f7719c0be04"}
+IDS = {
+    "hm": "hm-5f0c2a9d41be",
+    "cm": "cm-0d4b8f6a2c17",
+    "runs": "runs-3b9d0c1e77aa",
+    "cal": "cal-2f7719c0be04",
+    "dr": "dr-71c2e0a95b38",
+}
 _PLACE = re.compile(r"/v1/(\w+)/([^/]+)")
 _LONG, _KEPT = 8, 3  # items of a list
 
@@ -126,6 +132,13 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("ask_feasibility", "POST", f"{here}/feasibility", body={**task, "round_trip": True})
     way = {"position": START, "home": START, "path": [START, GOAL], "charging": [GOAL], "battery": {"charge": 0.01}}
     ask("find_point_of_no_return", "POST", f"{here}/return", body=way)
+    drive = ask("begin_drive", "POST", f"{here}/drives", body={"path": [START, GOAL], "battery": {"charge": 0.8}})["id"]
+    moments = [{"time_s": 2.0 * k, "position": [START[0] + k, START[1]], "power_w": 64.0} for k in range(8)]
+    ask("update_drive", "POST", f"/v1/drives/{drive}/updates", body={"samples": moments})
+    ask("get_drive", "GET", f"/v1/drives/{drive}")
+    ask("list_drives", "GET", "/v1/drives", query={"limit": 1, "offset": 0})
+    for name in ("watch_drive", "delete_drive"):
+        found[name] = {"parameters": {"drive_id": drive}, "answers": {}}
     reached = {"start": START, "charges": [0.001, 0.002]}
     ask("find_reach", "POST", f"{here}/reach", body=reached, query={"format": "geojson"})
     ask("find_reach", "POST", f"{here}/reach", body=reached)
@@ -151,7 +164,7 @@ def shortened(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.9g}")
     if isinstance(value, str):
-        value = re.sub(r"\b(hm|cm|runs|cal)-[0-9a-f]{12}\b", lambda match: IDS[match[1]], value)
+        value = re.sub(r"\b(hm|cm|runs|cal|dr)-[0-9a-f]{12}\b", lambda match: IDS[match[1]], value)
         return re.sub(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?", "2026-11-22T09:30:00", value)
     return value
 
