@@ -144,4 +144,4 @@ def _forecasts(
             at = mark
             mean, scale = ahead.energy(float(mark), known)
             found.append(((rest[mark] - mean) / max(scale, 1e-12), max(scale, 1e-12)))
-    return tuple(np.array(found).T)  # type: ignore[return-value]
+    return tuple(np.array(found).T)
