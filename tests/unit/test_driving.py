@@ -178,3 +178,18 @@ def test_the_prior_of_runs_that_differ_much_is_wider_than_thought_and_travels_wi
     costs = flat()
     costs.lattice.provenance["model"]["drive_prior"] = kept
     assert costs.drive([(10.0, 20.0), (110.0, 20.0)]).tracking.prior == found
+
+
+def test_another_way_is_proposed_once_climbing_is_known_to_cost_more() -> None:
+    y, x = np.mgrid[0:40, 0:120]
+    ridge = 0.5 * np.exp(-(((x - 60.0) / 6.0) ** 2)) * np.clip((28.0 - y) / 10.0, 0.0, 1.0)  # none in the south
+    costs = jm.costmap(jm.heightmap(ridge, resolution_m=1.0), model="physics")
+    drive = costs.drive([(10.0, 20.0), (110.0, 20.0)])
+    drive.update(0.0, (10.0, 20.0), power_w=60.0)
+    assert drive.better_route() is None
+    state = drive.tracking.state
+    state.mean[2], state.covariance = 3.0, (1e-4 * np.eye(5)).tolist()  # climbing takes four times as much
+    better = drive.better_route()
+    assert better is not None
+    assert better.saving_j > 1.6 * better.saving_std_j > 0.0
+    assert better.route.points[:, 1].min() < 16.0
