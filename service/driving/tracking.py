@@ -134,7 +134,7 @@ class Tracking:
         if math.isfinite(sample.charge):
             state.charge, state.used_at_charge_j = sample.charge, before.used_j
         if before.last is None:
-            state.at_m, state.off_m = self.metres.nearest(sample.x, sample.y, 0.0, self.metres.length_m)
+            self._place(state, 0.0, self.metres.length_m)
             state.row_m = state.at_m if state.off_m <= OFF_ROUTE_M else None
             return state
         seconds = sample.time_s - before.last.time_s
@@ -144,9 +144,7 @@ class Tracking:
             low, high = before.at_m - BACK_M, self.metres.length_m
         else:
             low, high = before.at_m - BACK_M, before.at_m + BACK_M + FASTEST * self._speed_mps * seconds
-        state.at_m, state.off_m = self.metres.nearest(
-            sample.x, sample.y, max(low, 0.0), min(high, self.metres.length_m)
-        )
+        self._place(state, max(low, 0.0), min(high, self.metres.length_m))
         if state.off_m > OFF_ROUTE_M:
             state.row_m = None
         elif before.row_m is None or seconds > GAP_S or state.at_m < before.row_m - BACK_M:
@@ -157,6 +155,13 @@ class Tracking:
             if state.at_m - before.row_m >= _ROW_M:
                 self._learn(state, before.row_m)
         return state
+
+    def _place(self, state: State, low_m: float, high_m: float) -> None:
+        """Note where on the route the last sample is; from beside it nothing follows, and a wild fix moves nobody."""
+        assert state.last is not None
+        at, state.off_m = self.metres.nearest(state.last.x, state.last.y, low_m, high_m)
+        if state.off_m <= OFF_ROUTE_M:
+            state.at_m = at
 
     def _learn(self, state: State, begin_m: float) -> None:
         """Learn from the row that ends here."""

@@ -13,12 +13,12 @@ from joulemap.model.loop.drive_filter import Ahead
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Route
 from joulemap.planner.route_planner import RoutePlanner
+from joulemap.service.coordinates import world_point
 from joulemap.service.driving.ahead import metres_of, prior_of
 from joulemap.service.driving.forecast import Forecast, forecast
 from joulemap.service.driving.tracking import Sample, Tracking
 from joulemap.service.driving.updated import BetterRoute, better_route, updated_lattice
 from joulemap.service.exports.clearance import price_given_path
-from joulemap.service.places import Places
 
 if TYPE_CHECKING:
     from joulemap.model.battery import Battery
@@ -52,7 +52,6 @@ class Drive:
         prior = prior_of(lattice, metres)
         self._ahead = Ahead.of(prior, metres.columns, metres.std_j)
         self.tracking = Tracking(metres, prior, lattice.robot.idle_power_w, lattice.robot.speed_mps)
-        self._places = Places(lattice.frame)
 
     def update(
         self,
@@ -91,8 +90,10 @@ class Drive:
             power_w = voltage_v * current_a
         if charge is not None and not 0.0 <= charge <= 1.0:
             raise InputError(f"charge is {charge:g}; it lies between 0 and 1", charge=charge)
-        x, y = self._places(position, "position")
-        self.tracking.add(Sample(float(time_s), x, y, float(power_w), math.nan if charge is None else float(charge)))
+        place = world_point(self.lattice.frame, position, name="position")
+        self.tracking.add(
+            Sample(float(time_s), place.x, place.y, float(power_w), math.nan if charge is None else float(charge))
+        )
 
     def forecast(self) -> Forecast:
         """Return what is expected of the rest.

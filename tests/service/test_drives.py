@@ -73,10 +73,19 @@ def test_a_sample_without_power_is_refused_and_nothing_of_its_request_is_kept(
     refused = client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": wrong})
     assert refused.status_code == 422
     assert "power_w" in refused.text
-    beyond = [*samples(path, 3.0), {"time_s": 99.0, "position": [1e6, 1e6], "power_w": 1.0}]
-    outside = client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": beyond})
-    assert outside.status_code == 422, outside.text
     assert client.get(f"/v1/drives/{drive['id']}").json() == drive
+
+
+def test_a_wild_fix_moves_nobody(client: TestClient, costmap_id: str, path: list[list[float]]) -> None:
+    drive = client.post(f"/v1/costmaps/{costmap_id}/drives", json={"path": path}).json()
+    log = samples(path, 8.0)
+    wild = [*log[:16], {"time_s": 7.75, "position": [1e6, 1e6], "power_w": POWER_W}]
+    now = client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": wild}).json()["forecast"]
+    assert now["off_route_m"] > 1e5
+    assert now["at_m"] < 4.0
+    now = client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": log[16:]}).json()["forecast"]
+    assert now["at_m"] == pytest.approx(7.75, abs=0.3)
+    assert now["off_route_m"] < 0.1
 
 
 def test_nothing_acknowledged_is_lost_by_kill_9(tmp_path: Path, hill_tif: bytes) -> None:
