@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from joulemap.service.library.drive import Drive
     from joulemap.service.library.feasibility import Feasibility
     from joulemap.service.library.heightmaps import heightmap, heightmap_from_runs
+    from joulemap.service.library.layers import with_layers
     from joulemap.service.library.models import Evaluation, Model, evaluate, train
     from joulemap.service.library.planned_route import PlannedRoute
     from joulemap.service.library.planned_tour import PlannedTour
@@ -61,6 +62,7 @@ __all__ = [
     "read_heightmap",
     "read_runs",
     "train",
+    "with_layers",
 ]
 
 _HOMES = {
@@ -74,6 +76,7 @@ _HOMES = {
     "joulemap.service.library.calibrations": ("CalibrationResult", "calibrate"),
     "joulemap.service.library.costmaps": ("CostMap", "StoredCostMap", "costmap", "open_costmap"),
     "joulemap.service.library.heightmaps": ("heightmap", "heightmap_from_runs"),
+    "joulemap.service.library.layers": ("with_layers",),
     "joulemap.service.library.models": ("Evaluation", "Model", "evaluate", "train"),
     "joulemap.service.library.drive": ("Drive",),
     "joulemap.service.library.feasibility": ("Feasibility",),

@@ -160,7 +160,8 @@ class PhysicsPredictor:
         traction = tan_grade_lattice(heightmap, frame, headings_rad)
         traction += np.float32(robot.rolling_resistance)
         traction *= np.float32(robot.weight_n)
-        return traction
+        x, y = frame.centres()
+        return heightmap.layers.on_kinds(traction, robot, x[None, :, None], y[:, None, None])
 
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
@@ -203,7 +204,8 @@ class PhysicsPredictor:
             Traction demand [J/m]; NaN where the map is unknown.
         """
         grade = np.atleast_1d(tan_grade(heightmap, x, y, heading_rad))
-        return eq5_traction_per_m(robot.weight_n, robot.rolling_resistance, grade)
+        traction = eq5_traction_per_m(robot.weight_n, robot.rolling_resistance, grade)
+        return heightmap.layers.on_kinds(traction, robot, x, y)
 
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike

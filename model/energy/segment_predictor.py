@@ -100,5 +100,6 @@ class SegmentPredictor(Learned):
                 out[seen.run] = said.energy.cpu().numpy().astype(np.float64) - robot.hotel_per_m
                 if said.spread is not None:
                     relative[seen.run] = torch.exp(said.spread).cpu().numpy()
+        out = heightmap.layers.on_kinds(out, robot, xs, ys)
         price, level = robot.price_per_m(out), robot.hotel_per_m + robot.weight_n * robot.rolling_resistance
         return out, segment_std(price, relative, level, factor=self.spread.factor)

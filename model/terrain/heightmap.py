@@ -20,6 +20,7 @@ from joulemap.model.terrain.denoising import (
     estimated_noise_m,
     hiding_noise_m,
 )
+from joulemap.model.terrain.layers import NO_LAYERS, Layers
 from joulemap.model.terrain.rows import share_of
 
 FloatArray = NDArray[np.float64]
@@ -49,6 +50,8 @@ class Heightmap:
     noise_length_m : float
         Length over which the given noise is alike [m], see `model.terrain.denoising.correlation_of`; 0 where it is
         independent from cell to cell.
+    layers : Layers
+        What is known of the ground beside its height: kinds of ground, obstacles, costs.
 
     Raises
     ------
@@ -64,6 +67,7 @@ class Heightmap:
     given_noise_m: float | None = None
     removed_noise_m: float = 0.0
     noise_length_m: float = 0.0
+    layers: Layers = NO_LAYERS
 
     def __post_init__(self) -> None:
         heights = np.ascontiguousarray(self.heights, dtype=np.float32)
@@ -142,7 +146,8 @@ class Heightmap:
         """
         heights = self.heights[row0:row1, col0:col1]
         place = self.frame.window(row0, row1, col0, col1)
-        return Heightmap(heights, place, self.source, part=True, removed_noise_m=self.removed_noise_m)
+        removed = self.removed_noise_m
+        return Heightmap(heights, place, self.source, part=True, removed_noise_m=removed, layers=self.layers)
 
     def sample(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         """Return bilinear heights at world points.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,9 @@ MAX_CELLS = 400_000_000
 ASKED_FOR = ("reprojected from", "a window")
 """What notes begin with that tell of what the user asked for."""
 
+LayerFiles = Mapping[str, str | Path | Sequence[str | Path]]
+"""Files of layers by what they are of."""
+
 _HEAD_BYTES = 512
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # a Path has lost one of the slashes
 
@@ -47,6 +52,8 @@ def read_heightmap(
     window: WindowLike | None = None,
     noise_m: float | None = None,
     noise_length_m: float = 0.0,
+    layers: LayerFiles | None = None,
+    legend: str | Path | Mapping[str, Any] | None = None,
     max_cells: int = MAX_CELLS,
 ) -> Heightmap:
     """Read a heightmap from a file of any known format.
@@ -88,6 +95,11 @@ def read_heightmap(
     noise_length_m : float, optional
         Length over which that noise is alike [m], its correlation is exp(-d^2 / 2 length^2) at a distance d: some cells
         where heights are of photogrammetry or were resampled.
+    layers : dict of str to str, Path or list of these, optional
+        Files of what is known of the ground beside its height, by what they are of: `kinds`, `obstacles`, `free`,
+        `factor` or `cost`, see `with_layers`.
+    legend : str, Path or dict, optional
+        Which kinds of ground there are, and which values of `kinds` mean them: a TOML file, or its tables.
     max_cells : int, optional
         Largest number of cells.
 
@@ -145,13 +157,15 @@ def read_sent(
     TooLargeError
         As `read_heightmap`.
     """
-    ground = _ground(_source(source, options.pop("filename", None), alone=alone), max_cells, max_cells, **options)
+    over = {key: options.pop(key, None) for key in ("layers", "legend")}
+    ground = _ground(source_of(source, options.pop("filename", None), alone=alone), max_cells, max_cells, **options)
+    ground = _with_layers(ground, **over)
     if isinstance(ground, Heightmap):
         return ground
     rows, cols = ground.frame.shape
     heights = ground.reader.read(ground.scaling, slice(0, rows), slice(0, cols))
-    noise: Any = {"given_noise_m": ground.given_noise_m, "noise_length_m": ground.noise_length_m}
-    return Heightmap(heights, ground.frame, ground.source, notes=ground.notes, **noise)
+    same = ("source", "notes", "given_noise_m", "noise_length_m", "layers")
+    return Heightmap(heights, ground.frame, **{name: getattr(ground, name) for name in same})
 
 
 def open_ground(path: str | Path, *, alone: bool = False, **options: Any) -> Ground:
@@ -178,8 +192,19 @@ def open_ground(path: str | Path, *, alone: bool = False, **options: Any) -> Gro
     TooLargeError
         If the file is read as a whole and declares more than `MAX_CELLS` cells.
     """
-    source = _source(path, options.pop("filename", None), alone=alone)
-    return _ground(source, MAX_SIDE * MAX_SIDE, MAX_CELLS, **options)
+    over = {key: options.pop(key, None) for key in ("layers", "legend")}
+    source = source_of(path, options.pop("filename", None), alone=alone)
+    return _with_layers(_ground(source, MAX_SIDE * MAX_SIDE, MAX_CELLS, **options), **over)
+
+
+def _with_layers(
+    ground: Heightmap | HeightmapFile, layers: LayerFiles | None, legend: str | Path | Mapping[str, Any] | None
+) -> Heightmap | HeightmapFile:
+    if not layers:
+        return ground
+    from joulemap.model.terrain.layers.reading import read_layers  # which builds on this module
+
+    return replace(ground, layers=read_layers(layers, ground.frame, legend=legend))
 
 
 def _ground(
@@ -202,8 +227,7 @@ def _ground(
 ) -> Heightmap | HeightmapFile:
     """A file of up to `max_cells` cells, of `max_cells_whole` where its format is only read as a whole."""
     scaling = Scaling(scale_m, offset_m, nodata, resolution_m)
-    file = unpacked(source, tuple(suffix for each in FORMATS for suffix in each.suffixes))
-    kind = _format_of(file)
+    file, kind = recognised(source)
     if reproject is not None:
         warped, scaling = reproject_file(
             file,
@@ -241,7 +265,14 @@ def _window_note(frame: GridFrame) -> str:
     return f"{ASKED_FOR[1]} of the file was read: x {west:.2f}..{east:.2f}, y {south:.2f}..{north:.2f}"
 
 
-def _source(source: str | Path | bytes, filename: str | None, *, alone: bool) -> SourceFile:
+def recognised(source: SourceFile) -> tuple[SourceFile, HeightmapFormat]:
+    """Return a file, out of its archive where it is in one, and its format."""
+    file = unpacked(source, tuple(suffix for each in FORMATS for suffix in each.suffixes))
+    return file, _format_of(file)
+
+
+def source_of(source: str | Path | bytes, filename: str | None, *, alone: bool) -> SourceFile:
+    """Return a file, or bytes, to be read."""
     if isinstance(source, bytes):
         return SourceFile(source, filename or "bytes", source[:_HEAD_BYTES], alone=True)
     if _URL.match(str(source)):

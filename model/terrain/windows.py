@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from joulemap.model.terrain.denoising import (
 )
 from joulemap.model.terrain.formats.contract import WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.layers import NO_LAYERS, Layers
 
 _KEPT_CELLS = 32_000_000  # a file of up to so many is read once and kept, as windows would read most of it many times
 _STRIP_CELLS = 16_000_000  # of a larger one that are held at a time while it is read through once
@@ -67,6 +68,10 @@ class Ground(Protocol):
     def noise_length_m(self) -> float:
         """Length over which that noise is alike [m]; 0 where it is independent from cell to cell."""
 
+    @property
+    def layers(self) -> Layers:
+        """What is known of the ground beside its height."""
+
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1)."""
 
@@ -91,6 +96,8 @@ class HeightmapFile:
         As `Heightmap.notes`.
     given_noise_m, noise_length_m : float or None, float
         As those of `Heightmap`.
+    layers : Layers
+        As `Heightmap.layers`.
     """
 
     reader: WindowReader
@@ -100,6 +107,7 @@ class HeightmapFile:
     notes: tuple[str, ...] = ()
     given_noise_m: float | None = None
     noise_length_m: float = 0.0
+    layers: Layers = NO_LAYERS
 
     def __post_init__(self) -> None:
         check_noise(self.given_noise_m, self.noise_length_m)
@@ -116,7 +124,8 @@ class HeightmapFile:
             heights = self.reader.read(self.scaling, slice(row0, row1), slice(col0, col1))
         else:
             heights = kept[row0:row1, col0:col1]
-        return Heightmap(heights, self.frame.window(row0, row1, col0, col1), self.source, part=True)
+        place = self.frame.window(row0, row1, col0, col1)
+        return Heightmap(heights, place, self.source, part=True, layers=self.layers)
 
     @cached_property
     def _kept(self) -> NDArray[np.float32] | None:
@@ -167,7 +176,8 @@ def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: 
     length = ground.noise_length_m / ground.frame.resolution_m
     heights = denoised(around.heights, ground.noise_m, length)[row0 - top : row1 - top, col0 - left : col1 - left]
     place, removed = ground.frame.window(row0, row1, col0, col1), hiding_noise_m(ground.noise_m, length)
-    return Heightmap(heights, place, ground.source, part=True, given_noise_m=0.0, removed_noise_m=removed)
+    noise: Any = {"given_noise_m": 0.0, "removed_noise_m": removed}
+    return Heightmap(heights, place, ground.source, part=True, layers=ground.layers, **noise)
 
 
 def overview(ground: Ground) -> Heightmap:

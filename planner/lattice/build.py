@@ -21,6 +21,7 @@ from joulemap.model.errors import TooLargeError
 from joulemap.model.frames import GridFrame, heading_bins, heading_vector
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.layers import Layers
 from joulemap.model.terrain.windows import Ground, overview
 from joulemap.model.traction import TractionSource
 from joulemap.planner.lattice import Blocked, CostLattice
@@ -50,9 +51,28 @@ def build_tile(
     traction, std = source.traction_and_std(heights, robot, frame, heading_bins(tiling.headings))
     if beside.any():
         _price_beside_obstacles(traction, std, beside, gradient, robot, source, heights.resolution_m)
+    if heights.layers:
+        traction, std = _on_layers(traction, std, heights.layers, robot, source, frame)
     silent = np.isnan(traction).any(axis=2) & ((blocked == Blocked.FREE) | (blocked == Blocked.OBSTACLE))
     blocked[silent] = Blocked.UNKNOWN
     return CostLattice(frame, robot, traction, elevation, gradient, blocked, {}, std, obstacles=obstacles)
+
+
+def _on_layers(
+    traction: NDArray[np.float32],
+    std: NDArray[np.float32] | None,
+    layers: Layers,
+    robot: Robot,
+    source: TractionSource,
+    frame: GridFrame,
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """Prices with factors and costs of layers, and their uncertainty with that of kinds that nobody measured."""
+    x, y = frame.centres()
+    places = x[None, :, None], y[:, None, None]
+    if std is not None:
+        learned: frozenset[str] = getattr(source, "learned_kinds", frozenset())
+        std = np.hypot(std, layers.std_of_kinds(traction, robot, *places, learned)).astype(np.float32)
+    return layers.priced(traction, *places, heading_bins(traction.shape[2])).astype(np.float32, copy=False), std
 
 
 def _price_beside_obstacles(
@@ -102,7 +122,9 @@ def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: 
             *source.warnings(overview(ground), robot),
             *noise_warnings(ground.noise_m, robot),
             *size_warnings(ground.frame, robot),
+            *ground.layers.warnings(ground.frame),
         ],
+        **({"layers": ground.layers.as_list()} if ground.layers else {}),
     }
 
 
@@ -176,7 +198,7 @@ def write_lattice(
                 tiling,
                 robot,
                 with_std=knows_spread(source, robot),
-                squares=squares_of(tiling, ground.frame.resolution_m, robot),
+                squares=squares_of(tiling, ground, robot),
             )
         writer = ThreadPoolExecutor(1)  # writes a tile while the next one is priced
         try:
@@ -243,9 +265,12 @@ class _Interruptions:
                 self._handle(self._came, None)
 
 
-def squares_of(tiling: Tiling, resolution_m: float, robot: Robot) -> int:
+def squares_of(tiling: Tiling, ground: Ground, robot: Robot) -> int:
     """Return into how many squares cells are cut for obstacles; 0 on a map that is too coarse to show any."""
-    return squares_per_cell(tiling.frame.resolution_m, resolution_m) if shows_obstacles(resolution_m, robot) else 0
+    resolution_m = ground.frame.resolution_m
+    if not (shows_obstacles(resolution_m, robot) or ground.layers.closing):
+        return 0
+    return squares_per_cell(tiling.frame.resolution_m, min(resolution_m, ground.layers.finest_m))
 
 
 def knows_spread(source: TractionSource, robot: Robot) -> bool:

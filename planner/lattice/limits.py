@@ -76,7 +76,7 @@ def ground_limits(
         ),
         pieces(frame.rows, _ROWS_AT_ONCE),
     )
-    obstacles = None if steps is None else obstacles_under(frame, steps, heightmap.frame)
+    obstacles = obstacles_under(frame, steps, heightmap)
     if obstacles is not None:
         closed = closed_ground(blocked, obstacles, frame, robot)
         close_at_any_heading(closed, robot.width_m / 2.0 + robot.clearance_m, frame.resolution_m, blocked)

@@ -85,23 +85,32 @@ def _mark_steps(heights, run, least_m, found):
                 found[r + at * one_down, c + at * one_right] = True
 
 
-def obstacles_under(cells: GridFrame, found: NDArray[np.bool_], heights: GridFrame) -> Obstacles:
-    """Return obstacles on the squares of a lattice's cells and of what is known around them.
+def obstacles_under(cells: GridFrame, found: NDArray[np.bool_] | None, heightmap: Heightmap) -> Obstacles | None:
+    """Return obstacles on the squares of a lattice's cells and of what is known around them; None where none matters.
 
-    A square is an obstacle if a pixel of `found`, (rows, cols) on the frame `heights`, covers a part of it.
+    A square is an obstacle if a pixel of `found`, (rows, cols) of the heightmap, or a cell of a layer covers a part of
+    it.
     """
-    n = squares_per_cell(cells.resolution_m, heights.resolution_m)
+    heights, layers = heightmap.frame, heightmap.layers
+    if found is None and not layers.closing:
+        return None
+    n = squares_per_cell(cells.resolution_m, min(heights.resolution_m, layers.finest_m))
     ratio = heights.resolution_m * n / cells.resolution_m  # squares along a pixel
     north, west = (
         (heights.bounds[3] - cells.bounds[3]) / cells.resolution_m * n,
         (cells.bounds[0] - heights.bounds[0]) / cells.resolution_m * n,
     )
     row, col = (n * max(math.floor(distance / n + 1e-6), 0) for distance in (north, west))
-    rows = row + n * max(math.floor((found.shape[0] * ratio - north) / n + 1e-6), cells.rows)
-    cols = col + n * max(math.floor((found.shape[1] * ratio - west) / n + 1e-6), cells.cols)
-    closed = np.zeros((rows, cols), dtype=np.bool_)
-    if ratio == 1.0 and north == row and west == col:
-        closed[:] = found[:rows, :cols]
+    rows = row + n * max(math.floor((heights.rows * ratio - north) / n + 1e-6), cells.rows)
+    cols = col + n * max(math.floor((heights.cols * ratio - west) / n + 1e-6), cells.cols)
+    square_m = cells.resolution_m / n
+    closed = layers.closed_on(
+        GridFrame(cells.west_m - col * square_m, cells.north_m + row * square_m, square_m, rows, cols)
+    )
+    if found is None:
+        pass
+    elif ratio == 1.0 and north == row and west == col:
+        closed |= found[:rows, :cols]
     else:
         _cover(found, row - north, col - west, ratio, closed)
     return Obstacles(room_east(closed), n, row, col)

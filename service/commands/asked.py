@@ -47,9 +47,16 @@ _NAMES = {
 """Options whose names are not that of their field."""
 _FILES = {
     "avoid": "GeoJSON with areas (polygons) that no route may touch; may be given several times.",
+    "legend": "Legend of `--layer kinds=FILE` (TOML): a table for every kind of ground, with its `value` in the layer, and "
+    "`rolling_resistance` or `factor`, with `std`, or `blocked`; by default those of the library.",
     "path": "A path: GeoJSON, GPX, KML, a mission (.plan, .waypoints), the JSON of `joulemap path` or `tour`, or CSV "
     "with lines x,y. Several lines are driven one after another.",
 }
+_LAYERS = (
+    "A layer over the heightmap, in its own resolution and coordinate system: kinds=FILE (kinds of ground), obstacles=FILE "
+    "(raster, GeoJSON, or YAML of a Nav2 map), free=FILE (the only ground to be driven on), factor=FILE (of the energy), "
+    "cost=FILE (added J/m); may be given several times."
+)
 _OF_BATTERY = ("charge", "reserve", "capacity_wh")
 
 
@@ -181,13 +188,29 @@ def _warnings_said() -> Iterator[None]:
 
 
 def _joined(typed: dict[str, Any]) -> dict[str, Any]:
-    """Options as fields: those of the battery are one."""
+    """Options as fields: those of the battery are one, and so are layers."""
+    if typed.get("layers"):
+        typed["layers"] = _layers(typed["layers"])
     if "battery" not in typed:
         return typed
     from joulemap.service.questions.given import battery_with
 
     state = {name: typed.pop(name) for name in _OF_BATTERY if name in typed}
     return {**typed, "battery": battery_with(battery_values(typed["battery"]), **state)}
+
+
+def _layers(words: Sequence[str]) -> dict[str, list[str]]:
+    """Layers as they were typed, WHAT=FILE, by what they are of."""
+    found: dict[str, list[str]] = {}
+    for text in words:
+        role, equals, file = text.partition("=")
+        if not (equals and file):
+            raise typer.BadParameter(
+                f"{text!r} is no layer: write WHAT=FILE, like kinds=land.tif", param_hint="--layer"
+            )
+        there(Path(file))
+        found.setdefault(role, []).append(file)
+    return found
 
 
 def _options_of(request: type[BaseModel], without: Sequence[str]) -> Iterator[inspect.Parameter]:
@@ -201,6 +224,9 @@ def _options_of(request: type[BaseModel], without: Sequence[str]) -> Iterator[in
             several = name == "avoid"
             file = typer.Option(f"--{name}", metavar="FILE", callback=there, help=_FILES[name])
             yield _parameter(name, Annotated[list[Path] | None if several else Path | None, file], None)
+        elif name == "layers":
+            option = typer.Option("--layer", metavar="WHAT=FILE", help=_LAYERS)
+            yield _parameter(name, Annotated[list[str] | None, option], None)
         elif name == "charges":  # several shares, and with them the charge of the battery
             option = typer.Option("--charge", metavar="0..1[,0..1...]", parser=_shares, help=_sentence(field, fields))
             yield _parameter(name, Annotated[Any, option], "1.0")

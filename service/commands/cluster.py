@@ -135,6 +135,8 @@ def costmap_there(
     from joulemap.service.work.tiles import MapOrder
 
     named: str | Path = model if model in MODEL_NAMES else Path(model).resolve()
+    files = {role: [str(Path(file).resolve()) for file in some] for role, some in (reading.get("layers") or {}).items()}
+    reading = {**reading, "layers": files}  # a worker runs in another folder
     order = MapOrder(out.resolve(), heightmap.resolve(), reading, robot, named, spacing_m, headings, replace=True)
 
     async def _report(share: float) -> None:

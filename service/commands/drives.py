@@ -15,7 +15,7 @@ from joulemap.service.commands.options import (
     MaybeHeightmap,
     MaybeRuns,
     ModelName,
-    Reading,
+    ReadingWithLayers,
     RobotFile,
     Sites,
     find_runs,
@@ -64,7 +64,7 @@ SumOfCurrents = Annotated[
 class Drives:
     """Runs, their ground and their robot, as the options name them."""
 
-    reading: Reading
+    reading: ReadingWithLayers
     heightmap: MaybeHeightmap = None
     runs: MaybeRuns = None
     site: Sites = None

@@ -23,7 +23,7 @@ from joulemap.service.commands.console import (
 from joulemap.service.commands.options import (
     ModelName,
     Overwrite,
-    Reading,
+    ReadingWithLayers,
     RobotFile,
     png,
     refuse_to_replace,
@@ -99,7 +99,7 @@ def costmap(
     key: Key = None,
     json_file: JsonFile = None,
     *,
-    reading: Reading,
+    reading: ReadingWithLayers,
 ) -> None:
     """Make a **cost map**: energy per metre for every cell and heading, where the robot cannot go, and why.
 
@@ -108,6 +108,8 @@ def costmap(
     `joulemap costmap dem.tif --robot robot.toml --out dem.zarr`
 
     `joulemap costmap heights.png --resolution 0.5 --scale 0.01 --model physics --out heights.zarr`
+
+    `joulemap costmap dem.tif --layer kinds=land.tif --legend land.toml --layer obstacles=map.yaml --out dem.zarr`
     """
     from joulemap.model.terrain.plausible import heightmap_warnings
     from joulemap.model.terrain.readers import ASKED_FOR, open_ground

@@ -140,15 +140,20 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is at
 
 Reading = Annotated[dict[str, Any], "joulemap.service.questions.reading:UploadOptions -name"]
 """How a heightmap's file is to be read, as `read_heightmap` takes it."""
+ReadingWithLayers = Annotated[dict[str, Any], "joulemap.service.questions.reading:ReadingOptions -name"]
+"""The same, with files of layers."""
 
 
 def reading_words(reading: Mapping[str, Any]) -> list[str]:
     """The options that say how a heightmap's file is to be read, as they are typed, where they differ from usual."""
-    from joulemap.service.questions.reading import UploadOptions
+    from joulemap.service.questions.reading import ReadingOptions
 
-    usual = {name: field.default for name, field in UploadOptions.model_fields.items()}
-    given = {name: value for name, value in reading.items() if value != usual[name]}
-    return [
+    usual = {name: field.default for name, field in ReadingOptions.model_fields.items()}
+    given = {name: value for name, value in reading.items() if value and value != usual[name]}
+    layers = [
+        word for role, files in given.pop("layers", {}).items() for f in files for word in ("--layer", f"{role}={f}")
+    ]
+    return layers + [
         word for name, value in given.items() for word in (f"--{name.removesuffix('_m').replace('_', '-')}", str(value))
     ]
 

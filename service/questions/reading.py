@@ -75,3 +75,17 @@ class UploadOptions(ClosedModel):
         "independent from cell to cell",
         examples=[0.3],
     )
+
+
+class ReadingOptions(UploadOptions):
+    """What the heightmap file does not say, and files of what else is known of the ground."""
+
+    layers: dict[str, list[str]] | None = Field(
+        default=None,
+        description="file of what is known of the ground beside its height, as `kinds`, `obstacles` (YAML of a Nav2 map, "
+        "raster, GeoJSON), `free`, `factor` or `cost` [J/m] = FILE; may be given several times",
+    )
+    legend: str | None = Field(
+        default=None,
+        description="TOML file with a table for every kind of ground: its `value` in the layer, and what it costs",
+    )

@@ -95,7 +95,8 @@ class Tiles:
             headings=order.headings,
             models_dir=order.models_dir,
         )
-        self.source = with_stored_base(source, self.tiling, order.finished)
+        alike = () if self.ground.layers else order.finished  # prices of a finished map have costs of layers in them
+        self.source = with_stored_base(source, self.tiling, alike)
 
     @classmethod
     def of(cls, order: MapOrder) -> Tiles:
@@ -123,7 +124,7 @@ def lay_out(order: MapOrder) -> tuple[int, list[int]]:
     if not (order.notes / _LAYOUT).exists():
         std = knows_spread(tiles.source, tiles.robot)
         with _unless_deleted(order):
-            squares = squares_of(tiles.tiling, tiles.ground.frame.resolution_m, tiles.robot)
+            squares = squares_of(tiles.tiling, tiles.ground, tiles.robot)
             order.folder.lay_out(tiles.tiling, tiles.robot, with_std=std, squares=squares, again=False)
             _write(order.notes / _LAYOUT, {})
     count = len(tiles.tiling)

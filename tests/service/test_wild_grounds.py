@@ -14,7 +14,12 @@ from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 import joulemap as jm
+from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.errors import HeightmapError
+from joulemap.model.robot import Robot
+from joulemap.planner.lattice import Blocked
+from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.lattice.io import load_lattice
 from joulemap.service.cli import app
 from joulemap.service.http.app import create_app
 from tests.service.conftest import settings_for
@@ -125,3 +130,39 @@ def test_a_file_that_names_others_is_read_only_where_they_lie() -> None:
     data = (WILD / "grounds" / "hill.vrt").read_bytes()
     with pytest.raises(HeightmapError, match="names other files"):
         jm.read_heightmap(data, filename="hill.vrt")
+
+
+def test_kinds_and_obstacles_over_the_hill_through_the_command_line(tmp_path: Path):
+    """Their answers: 1 grass, 2 sand, 3 water; a wall of 20 x 2 m from (500047.5, 4000030) to (500049.5, 4000050)."""
+    folder, legend = WILD / "grounds", tmp_path / "legend.toml"
+    legend.write_text("[grass]\nvalue = 1\n[sand]\nvalue = 2\n[water]\nvalue = 3\n")
+    robot = tmp_path / "robot.toml"
+    robot.write_text('name = "cart"\nwidth_m = 0.5\nlength_m = 0.5\ntracking_std_m = 0\n')
+    words = f"costmap {folder}/hill.tif --model physics --spacing 0.5 --robot {robot}"
+    layers = f"--layer kinds={folder}/kinds.tif --legend {legend} --layer obstacles={folder}/obstacles.yaml"
+    for name, more in (("bare", ""), ("layered", layers)):
+        done = CliRunner().invoke(app, [*words.split(), "--out", str(tmp_path / f"{name}.zarr"), *more.split()])
+        assert done.exit_code == 0, done.output
+    bare, layered = (load_lattice(tmp_path / f"{name}.zarr") for name in ("bare", "layered"))
+    x, y = np.meshgrid(*layered.frame.centres())
+    wall = (x > 500047.5) & (x < 500049.5) & (y > 4000030.0) & (y < 4000050.0)
+    pond = (x > 500020.0) & (x < 500040.0) & (y > 4000040.0) & (y < 4000060.0)
+    near = (x > 500047.0) & (x < 500050.0) & (y > 4000029.5) & (y < 4000050.5)
+    near |= (x > 500019.5) & (x < 500040.5) & (y > 4000039.5) & (y < 4000060.5)
+    assert np.all(layered.blocked[(wall | pond) & (bare.blocked == Blocked.FREE)] == Blocked.OBSTACLE)
+    assert np.array_equal(layered.blocked[~near], bare.blocked[~near])  # unknown (205) is free, as told
+    more = (layered.traction_per_m - bare.traction_per_m)[..., 0] / bare.robot.weight_n
+    own = bare.robot.rolling_resistance
+    free = (layered.blocked == Blocked.FREE) & ~near
+    assert more[free & (x < 500050.0)] == pytest.approx(0.06 - own, abs=1e-5)  # McKibben, bluegrass sod
+    assert more[free & (x > 500050.0)] == pytest.approx(0.2 - own, abs=1e-5)  # Carvill, sand
+    assert [layer["resolution_m"] for layer in layered.provenance["layers"]] == [2.0, 0.5]
+
+
+def test_a_climb_on_the_moon_costs_a_sixth():
+    ground = jm.read_heightmap(WILD / "grounds" / "moon.tif")
+    assert ground.height_range == pytest.approx((100.0, 107.0), abs=0.01)
+    earth, moon = (build_lattice(ground, Robot(**more), PhysicsPredictor()) for more in ({}, {"gravity_mps2": 1.62}))
+    known = np.isfinite(moon.traction_per_m)
+    ratio = moon.traction_per_m[known] / earth.traction_per_m[known]
+    assert ratio == pytest.approx(1.62 / 9.80665, rel=1e-3)

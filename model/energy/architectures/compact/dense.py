@@ -115,7 +115,7 @@ class CompactPredictor(Learned):
         ]
         with threadpool_limits(1, user_api="blas"):  # a tile per thread, nothing shared inside a tile
             share_out(_fill, tiles)
-        return traction, std
+        return heightmap.layers.on_kinds(traction, robot, x[None, :, None], y[:, None, None]), std
 
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
@@ -141,7 +141,7 @@ class CompactPredictor(Learned):
             rest[part], spread[part] = weights.ask(series, basis[part], tracks)
         gain, climb = weights.gains
         over_weight = gain * robot.rolling_resistance + climb * tan_grade(heightmap, x, y, heading) + rest
-        traction = np.asarray(robot.weight_n * over_weight)
+        traction = heightmap.layers.on_kinds(np.asarray(robot.weight_n * over_weight), robot, x, y)
         price = robot.price_per_m(traction)
         return traction, segment_std(price, np.exp(spread), self._level_j(robot), factor=self.spread.factor)
 

@@ -1,0 +1,247 @@
+"""Layers as values: what each says at a place, and how prices and limits follow from it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.layers.kinds import Kind
+
+KINDS, OBSTACLES, FREE, FACTOR, COST = "kinds", "obstacles", "free", "factor", "cost"
+ROLES = {
+    KINDS: "kinds of ground",
+    OBSTACLES: "what no part of the robot may be over; unknown is free",
+    FREE: "the only ground that the robot may be over; unknown and what lies outside is an obstacle",
+    FACTOR: "a factor by which the energy of motion is multiplied",
+    COST: "energy that is added [J/m]",
+}
+"""What a layer may be of."""
+_INSIDE = 1e-6  # of a square: what only touches it is not in it
+
+CostFunction = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], ArrayLike]
+"""Of x, y [m] and heading [rad] of n places: what is added there [J/m], (n,)."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Layer:
+    """One layer, on a north-up grid in the CRS of its heightmap.
+
+    Attributes
+    ----------
+    role : str
+        One of `ROLES`.
+    source : str
+        Where it is from, in words.
+    frame : GridFrame, optional
+        Of `values`; None of a function.
+    values : ndarray, (rows, cols), optional
+        Of kinds: numbers in `kinds`, -1 where unknown. Of obstacles and free ground: whether a cell is an obstacle. Of
+        the others: the number, NaN where it is not known.
+    kinds : tuple of Kind
+        Of a layer of kinds.
+    function : callable, optional
+        Of a layer of costs, in place of values.
+    """
+
+    role: str
+    source: str
+    frame: GridFrame | None = None
+    values: NDArray[Any] | None = None
+    kinds: tuple[Kind, ...] = ()
+    function: CostFunction | None = None
+
+    def __post_init__(self) -> None:
+        if self.role not in ROLES:
+            raise InputError(f"there is no layer of {self.role!r}: known are {', '.join(ROLES)}", role=self.role)
+        if self.role == FACTOR and self.values is not None and np.nanmin(self.values, initial=1.0) < 0.0:
+            raise InputError(
+                f"a factor in {self.source} is {np.nanmin(self.values):g}: below 0 driving would give energy",
+                limit=0.0,
+            )
+
+    def at(self, x: ArrayLike, y: ArrayLike) -> NDArray[Any]:
+        """Return the values of the cells that hold world points [m]; outside the layer it knows nothing."""
+        assert self.frame is not None and self.values is not None
+        row, col = (np.floor(at + 0.5).astype(np.int64) for at in self.frame.rowcol(x, y))
+        inside = (row >= 0) & (row < self.frame.rows) & (col >= 0) & (col < self.frame.cols)
+        found = self.values[np.clip(row, 0, self.frame.rows - 1), np.clip(col, 0, self.frame.cols - 1)]
+        unknown = {KINDS: -1, OBSTACLES: False, FREE: True}.get(self.role, math.nan)
+        return np.where(inside, found, np.asarray(unknown, dtype=found.dtype))
+
+    @property
+    def closes(self) -> bool:
+        """Whether it may have obstacles."""
+        return self.role in (OBSTACLES, FREE) or any(kind.blocked for kind in self.kinds)
+
+    def is_closed(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+        """Return where it has obstacles. The result has the shape of the points."""
+        found = self.at(x, y)
+        if self.role != KINDS:
+            return np.asarray(found, dtype=np.bool_)
+        return np.asarray(np.array([*(kind.blocked for kind in self.kinds), False])[found])
+
+    @cached_property
+    def data_hash(self) -> str | None:
+        """SHA-256 (16 hex digits) of values and frame; None of a function."""
+        if self.values is None or self.frame is None:
+            return None
+        digest = hashlib.sha256(np.ascontiguousarray(self.values).data)
+        digest.update(self.frame.identity.encode())
+        return digest.hexdigest()[:16]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what it is, JSON-able."""
+        out: dict[str, Any] = {"role": self.role, "source": self.source, "hash": self.data_hash}
+        if self.frame is not None:
+            out["resolution_m"] = self.frame.resolution_m
+        return out | ({"kinds": [kind.as_dict() for kind in self.kinds]} if self.kinds else {})
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Layers:
+    """The layers of a heightmap; of several layers of kinds the last one that knows a place counts."""
+
+    each: tuple[Layer, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.each)
+
+    def of(self, *roles: str) -> list[Layer]:
+        """Return the layers of some roles."""
+        return [layer for layer in self.each if layer.role in roles]
+
+    @cached_property
+    def kinds(self) -> tuple[Kind, ...]:
+        """The kinds of ground of all layers, each name once; the last layer says what it costs."""
+        return tuple({kind.name: kind for layer in self.each for kind in layer.kinds}.values())
+
+    def kind_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.int64]:
+        """Return the number of the kind of ground in `kinds` at world points; -1 where no layer knows it."""
+        number = {kind.name: k for k, kind in enumerate(self.kinds)}
+        found = np.full(np.broadcast(x, y).shape, -1, dtype=np.int64)
+        for layer in self.of(KINDS):
+            own = np.array([*(number[kind.name] for kind in layer.kinds), -1])[layer.at(x, y)]
+            found = np.where(own >= 0, own, found)
+        return found
+
+    def names_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.str_]:
+        """Return the name of the kind of ground at world points; empty where no layer knows it."""
+        return np.array([*(kind.name for kind in self.kinds), ""])[self.kind_at(x, y)]
+
+    def on_kinds(self, traction_per_m: NDArray[Any], robot: Robot, x: ArrayLike, y: ArrayLike) -> NDArray[Any]:
+        """Return traction [J/m] on the kinds of ground at its places, by their defaults.
+
+        `traction_per_m`: on the robot's own ground; `x`, `y` broadcast to its shape.
+        """
+        if not self.of(KINDS):
+            return traction_per_m
+        kind = self.kind_at(x, y)
+        own, factor = robot.rolling_resistance, [1.0 if k.factor is None else k.factor for k in self.kinds]
+        added = [
+            robot.weight_n * ((own if k.rolling_resistance is None else k.rolling_resistance) - own) for k in self.kinds
+        ]
+        times, plus = np.array([*factor, 1.0])[kind], np.array([*added, 0.0])[kind]
+        return _multiplied(traction_per_m, times) + plus.astype(traction_per_m.dtype)
+
+    def std_of_kinds(
+        self, traction_per_m: NDArray[Any], robot: Robot, x: ArrayLike, y: ArrayLike, learned: frozenset[str]
+    ) -> NDArray[Any]:
+        """Return the standard deviation of the defaults of kinds of ground, beside those that a model learned [J/m]."""
+        own = [0.0 if kind.name in learned else kind.std for kind in self.kinds]
+        share = [0.0 if kind.factor is None else std / max(kind.factor, 1e-3) for kind, std in zip(self.kinds, own)]
+        of_weight = [std if kind.factor is None else 0.0 for kind, std in zip(self.kinds, own)]
+        at, pull = self.kind_at(x, y), np.maximum(traction_per_m, 0.0)
+        return np.asarray(robot.weight_n * np.array([*of_weight, 0.0])[at] + pull * np.array([*share, 0.0])[at])
+
+    def priced(self, traction_per_m: NDArray[Any], x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike) -> NDArray[Any]:
+        """Return traction [J/m] with factors and costs, which come on top of whatever a model says.
+
+        A factor multiplies what the drives need, and not what the ground gives.
+        """
+        for layer in self.of(FACTOR):
+            traction_per_m = _multiplied(traction_per_m, np.nan_to_num(layer.at(x, y), nan=1.0))
+        for layer in self.of(COST):
+            if layer.function is None:
+                cost = np.nan_to_num(np.asarray(layer.at(x, y), dtype=np.float64))
+            else:
+                cost = _asked(layer, traction_per_m.shape, x, y, heading_rad)
+            traction_per_m = traction_per_m + cost.astype(traction_per_m.dtype)
+        return traction_per_m
+
+    @property
+    def closing(self) -> list[Layer]:
+        """The layers that may have obstacles."""
+        return [layer for layer in self.each if layer.closes]
+
+    @property
+    def finest_m(self) -> float:
+        """Side of the smallest cell of those [m]; infinite where there are none."""
+        return min((layer.frame.resolution_m for layer in self.closing if layer.frame is not None), default=math.inf)
+
+    def closed_on(self, frame: GridFrame) -> NDArray[np.bool_]:
+        """Return which squares of a grid have a part of an obstacle, (rows, cols)."""
+        closed = np.zeros(frame.shape, dtype=np.bool_)
+        for layer in self.closing:
+            assert layer.frame is not None
+            count = max(2, math.ceil(frame.resolution_m / layer.frame.resolution_m - _INSIDE) + 1)
+            for down in np.linspace(_INSIDE, 1.0 - _INSIDE, count) - 0.5:
+                for right in np.linspace(_INSIDE, 1.0 - _INSIDE, count) - 0.5:
+                    x, y = frame.xy(np.arange(frame.rows)[:, None] + down, np.arange(frame.cols)[None, :] + right)
+                    closed |= layer.is_closed(x, y)
+        return closed
+
+    def warnings(self, frame: GridFrame) -> list[str]:
+        """Return what a user should know of layers over a map: ground without a kind, kinds without a cost."""
+        found = []
+        for layer in self.each:
+            place = layer.frame
+            west, south, east, north = frame.bounds
+            if place is not None:
+                w, s, e, n = place.bounds
+                shared = max(min(east, e) - max(west, w), 0.0) * max(min(north, n) - max(south, s), 0.0)
+                share = shared / ((east - west) * (north - south))
+                if share < 1.0 - 1e-3:
+                    outside = "an obstacle" if layer.role == FREE else "as without it"
+                    found.append(f"the layer {layer.source} covers {share:.0%} of the map: the rest is {outside}")
+        free = [k.name for k in self.kinds if k.rolling_resistance is None and k.factor is None and not k.blocked]
+        if free:
+            found.append(
+                f"the kinds of ground {', '.join(free)} have no cost of their own in the legend or the library: without "
+                "runs on them they cost what the robot's own ground does"
+            )
+        return found
+
+    def as_list(self) -> list[dict[str, Any]]:
+        """Return what they are, JSON-able."""
+        return [layer.as_dict() for layer in self.each]
+
+
+def _multiplied(traction_per_m: NDArray[Any], times: NDArray[Any]) -> NDArray[Any]:
+    return np.where(traction_per_m > 0.0, traction_per_m * times.astype(traction_per_m.dtype), traction_per_m)
+
+
+def _asked(layer: Layer, shape: tuple[int, ...], *places: ArrayLike) -> NDArray[np.float64]:
+    """What a function of the user's says of places."""
+    assert layer.function is not None
+    x, y, heading = (np.ascontiguousarray(np.broadcast_to(a, shape), dtype=np.float64).ravel() for a in places)
+    cost = np.asarray(layer.function(x, y, heading), dtype=np.float64)
+    if cost.shape not in ((), x.shape) or not np.isfinite(cost).all():
+        raise InputError(
+            f"the layer {layer.source} returned {cost.shape} values for {x.size} places, or some that are not finite: "
+            "return one number of J/m for each place"
+        )
+    return np.broadcast_to(cost, x.shape).reshape(shape)
+
+
+NO_LAYERS = Layers()
+"""Of a heightmap without any."""

@@ -1,0 +1,218 @@
+"""Layers over a heightmap: what they cost and close in closed form, from every shape in which people have them."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.transform import from_origin
+from rasterio.warp import transform_bounds
+from shapely.geometry import box
+
+import joulemap as jm
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.errors import InputError, NoRouteError
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.layers.kinds import library
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner.lattice import Blocked
+from joulemap.planner.lattice.build import build_lattice, write_lattice
+from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.tiles import Tiling
+
+ROBOT = Robot(mass_kg=40.0, rolling_resistance=0.05, idle_power_w=10.0, width_m=0.5, length_m=0.5, tracking_std_m=0.0)
+LEGEND = {
+    "grass": {"value": 1, "rolling_resistance": 0.08},
+    "mud": {"value": 2, "factor": 1.5},
+    "pond": {"value": 3, "blocked": True},
+}
+CRS = "EPSG:32630"
+WEST, NORTH = 366900.0, 4064340.0
+
+
+def level(side_m: float = 40.0, cell_m: float = 0.5) -> jm.Heightmap:
+    n = round(side_m / cell_m)
+    return jm.heightmap(np.zeros((n, n)), resolution_m=cell_m, west_m=WEST, north_m=NORTH, crs=CRS)
+
+
+def price_at(costs: jm.CostMap, x: float, y: float) -> float:
+    return float(np.nanmean(costs.at(WEST + x, NORTH - 40.0 + y).energy_per_m))
+
+
+def eq5(resistance: float) -> float:
+    """Wei & Isler 2022, eq. 5 on level ground, and idle power over the time of a metre."""
+    return ROBOT.price_per_m(ROBOT.weight_n * resistance).item()
+
+
+def write_kinds(path: Path, values: np.ndarray, crs: str = CRS, transform=None) -> Path:
+    transform = transform or from_origin(WEST, NORTH, 2.0, 2.0)
+    with rasterio.open(path, "w", driver="GTiff", width=values.shape[1], height=values.shape[0], count=1,
+                       dtype="uint8", crs=crs, transform=transform) as file:  # fmt: skip
+        file.write(values.astype("uint8"), 1)
+    return path
+
+
+@pytest.fixture(scope="module")
+def land(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Grass in the west, mud in the east, a pond of 8 x 8 m in the middle; cells of 2 m."""
+    values = np.ones((20, 20))
+    values[:, 10:] = 2
+    values[8:12, 8:12] = 3
+    return write_kinds(tmp_path_factory.mktemp("land") / "land.tif", values)
+
+
+def test_every_kind_costs_its_resistance_or_factor_and_a_blocked_one_is_an_obstacle(land):
+    ground = jm.with_layers(level(), kinds=land, legend=LEGEND)
+    costs = jm.costmap(ground, ROBOT, model="physics")
+    assert price_at(costs, 8.5, 30.5) == pytest.approx(eq5(0.08), rel=1e-5)
+    assert price_at(costs, 32.5, 30.5) == pytest.approx(eq5(0.05 * 1.5), rel=1e-5)
+    assert costs.at(WEST + 20.0, NORTH - 20.0).reasons[0] == "obstacle"
+    route = costs.plan((WEST + 10.0, NORTH - 20.0), (WEST + 30.0, NORTH - 20.0))
+    # round a corner of the pond, half the robot's width away: at least the chord that touches both corners
+    assert route.length_m > 2.0 * math.hypot(6.0, 4.0) + 8.0
+    made = costs.lattice.provenance["layers"]
+    assert [(layer["role"], layer["resolution_m"]) for layer in made] == [("kinds", 2.0)]
+
+
+def test_a_map_without_layers_says_nothing_of_any():
+    lattice = build_lattice(level(), ROBOT, PhysicsPredictor())
+    assert "layers" not in lattice.provenance
+
+
+def test_uncertain_kinds_widen_the_uncertainty_of_a_network(land):
+    legend = {"grass": {"value": 1, "rolling_resistance": 0.08, "std": 0.03}, **{k: LEGEND[k] for k in ("mud", "pond")}}
+    sure, unsure = (jm.costmap(jm.with_layers(level(), kinds=land, legend=one), ROBOT) for one in (LEGEND, legend))
+    row, col = 10, 8
+    before, after = sure.lattice.std_j[row, col], unsure.lattice.std_j[row, col]
+    assert after == pytest.approx(np.hypot(before, ROBOT.weight_n * 0.03), rel=1e-4)
+    assert np.array_equal(sure.lattice.std_j[row, 35], unsure.lattice.std_j[row, 35])  # mud is as sure as it was
+
+
+def test_a_name_alone_has_the_numbers_of_the_library_each_with_a_source(land):
+    assert all(kind.source for kind in library().values())
+    legend = {"grass": {"value": 1}, "sand": {"value": 2}, "water": {"value": 3}}
+    costs = jm.costmap(jm.with_layers(level(), kinds=land, legend=legend), ROBOT, model="physics")
+    assert price_at(costs, 32.5, 30.5) == pytest.approx(eq5(library()["sand"].rolling_resistance), rel=1e-5)
+
+
+def test_layers_in_degrees_lie_where_they_do_in_metres(tmp_path, land):
+    frame = level().frame
+    west, south, east, north = transform_bounds(CRS, "EPSG:4326", *frame.bounds)
+    values = np.ones((200, 200))
+    values[:, 100:] = 2
+    transform = rasterio.transform.from_bounds(west, south, east, north, 200, 200)
+    geographic = write_kinds(tmp_path / "degrees.tif", values, "EPSG:4326", transform)
+    costs = jm.costmap(jm.with_layers(level(), kinds=geographic, legend=LEGEND), ROBOT, model="physics")
+    assert price_at(costs, 10.5, 20.5) == pytest.approx(eq5(0.08), rel=1e-5)
+    assert price_at(costs, 30.5, 20.5) == pytest.approx(eq5(0.075), rel=1e-5)
+
+
+@pytest.mark.parametrize("shape", ["geojson", "shapely", "array", "xarray"])
+def test_the_same_mud_in_every_shape_costs_the_same(shape, tmp_path):
+    there = box(WEST + 20.0, NORTH - 40.0, WEST + 40.0, NORTH)
+    ground, legend = level(), {"mud": {"value": 1, "factor": 1.5}}
+    mask = np.zeros(ground.frame.shape)
+    mask[:, 40:] = 1
+    if shape == "geojson":
+        crs = {"type": "name", "properties": {"name": CRS}}
+        feature = {"type": "Feature", "properties": {"kind": "Mud"}, "geometry": there.__geo_interface__}
+        given = tmp_path / "mud.geojson"
+        given.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}))
+    elif shape == "shapely":
+        given = {"mud": [there]}
+    elif shape == "array":
+        given = mask
+    else:
+        xarray = pytest.importorskip("xarray")
+        x, y = ground.frame.centres()
+        given = xarray.DataArray(mask, coords={"y": y, "x": x}, dims=("y", "x"))
+    legend["dry"] = {"value": 0}
+    costs = jm.costmap(jm.with_layers(ground, kinds=given, legend=legend), ROBOT, model="physics")
+    assert price_at(costs, 30.5, 20.5) == pytest.approx(eq5(0.075), rel=1e-5)
+    assert price_at(costs, 10.5, 20.5) == pytest.approx(eq5(0.05), rel=1e-5)
+
+
+def test_factors_and_costs_come_on_top_and_a_function_may_depend_on_the_heading():
+    ground = level()
+    mask = np.full(ground.frame.shape, np.nan)
+    mask[:, 40:] = 2.0
+    costs = jm.costmap(jm.with_layers(ground, factor=mask), ROBOT, model="physics")
+    assert price_at(costs, 30.5, 20.5) == pytest.approx(eq5(0.1), rel=1e-5)
+    assert price_at(costs, 10.5, 20.5) == pytest.approx(eq5(0.05), rel=1e-5)
+    headwind = jm.costmap(
+        jm.with_layers(ground, cost=lambda x, y, heading: 5.0 * np.cos(heading)), ROBOT, model="physics"
+    )
+    along = headwind.at(WEST + 20.5, NORTH - 20.5).energy_per_m
+    assert along[0] - along[8] == pytest.approx(10.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("cell_m", [0.1, 0.5, 2.0])
+def test_obstacles_of_any_resolution_close_a_wall_but_for_its_door(cell_m):
+    """A wall of 2 m across the map, with a door of 4 m, in cells finer and coarser than the heightmap's."""
+    n = round(40.0 / cell_m)
+    x = (np.arange(n) + 0.5) * cell_m
+    wall = (np.abs(x[:, None] - 20.0) <= 1.0) & (np.abs(x[None, :] - 30.0) > 2.0)
+    xarray = pytest.importorskip("xarray")
+    given = xarray.DataArray(wall.astype(float), coords={"y": NORTH - x, "x": WEST + x}, dims=("y", "x"))
+    costs = jm.costmap(jm.with_layers(level(), obstacles=given), ROBOT, model="physics")
+    start, goal = (WEST + 10.0, NORTH - 10.0), (WEST + 10.0, NORTH - 30.0)
+    route = costs.plan(start, goal)
+    assert route.length_m > 2.0 * math.hypot(18.0, 9.0)
+    whole = jm.with_layers(level(), obstacles=given.where(given > 0, np.abs(given.y - (NORTH - 20.0)) < 1.0))
+    with pytest.raises(NoRouteError):
+        jm.costmap(whole, ROBOT, model="physics").plan(start, goal)
+
+
+def test_free_ground_closes_what_is_unknown_and_obstacles_do_not():
+    ground = level()
+    known = np.full(ground.frame.shape, np.nan)
+    known[:, :40] = 1.0
+    free = jm.costmap(jm.with_layers(ground, free=known), ROBOT, model="physics").lattice
+    assert free.blocked[20, [10, 30]].tolist() == [Blocked.FREE, Blocked.OBSTACLE]
+    open_ = jm.costmap(jm.with_layers(ground, obstacles=np.where(np.isnan(known), np.nan, 0.0)), ROBOT, model="physics")
+    assert open_.lattice.blocked[20, 30] == Blocked.FREE
+
+
+def test_a_map_on_disk_tile_by_tile_is_that_in_memory(tmp_path, land):
+    ground = jm.with_layers(level(), kinds=land, legend=LEGEND, obstacles=land)
+    whole = build_lattice(ground, ROBOT, PhysicsPredictor())
+    tiling = Tiling.of(ground.frame, spacing_m=1.0, headings=16, side=16)
+    write_lattice(tmp_path / "map.zarr", ground, ROBOT, PhysicsPredictor(), tiling)
+    stored = load_lattice(tmp_path / "map.zarr")
+    assert np.array_equal(stored.traction_per_m, whole.traction_per_m, equal_nan=True)
+    assert np.array_equal(stored.blocked, whole.blocked)
+    assert np.array_equal(stored.obstacles.room == 0, whole.obstacles.room == 0)
+
+
+def test_what_cannot_be_a_layer_is_refused_with_the_value(land, tmp_path):
+    ground = level()
+    with pytest.raises(InputError, match=r"values 1, 2, 3.*legend"):
+        jm.with_layers(ground, kinds=land)
+    with pytest.raises(InputError, match="none of the values"):
+        jm.with_layers(ground, kinds=land, legend={"grass": {"value": 9}})
+    with pytest.raises(InputError, match="80 x 80"):
+        jm.with_layers(ground, obstacles=np.zeros((3, 3)))
+    with pytest.raises(InputError, match="outside the heightmap"):
+        jm.with_layers(jm.heightmap(np.zeros((9, 9)), resolution_m=1.0, crs=CRS), kinds=land, legend=LEGEND)
+    with pytest.raises(InputError, match="'colour'"):
+        jm.with_layers(ground, kinds=land, legend={"grass": {"value": 1, "colour": "green"}})
+    with pytest.raises(InputError, match="below 0"):
+        jm.with_layers(ground, factor=np.full(ground.frame.shape, -1.0))
+
+
+def test_a_layer_over_a_part_of_the_map_and_a_kind_without_a_cost_are_warned_of(land):
+    half = jm.heightmap(np.zeros((80, 160)), resolution_m=0.5, west_m=WEST, north_m=NORTH, crs=CRS)
+    costs = jm.costmap(jm.with_layers(half, kinds=land, legend={"moss": {"value": 1}}), ROBOT, model="physics")
+    assert any("covers 50%" in words for words in costs.warnings)
+    assert any("moss" in words for words in costs.warnings)
+
+
+def test_written_heightmaps_take_layers_as_they_are_read(tmp_path, land):
+    write_geotiff(tmp_path / "level.tif", level())
+    (tmp_path / "legend.toml").write_text("[grass]\nvalue = 1\nrolling_resistance = 0.08\n")
+    read = jm.read_heightmap(tmp_path / "level.tif", layers={"kinds": land}, legend=tmp_path / "legend.toml")
+    assert price_at(jm.costmap(read, ROBOT, model="physics"), 8.5, 30.5) == pytest.approx(eq5(0.08), rel=1e-5)
