@@ -19,6 +19,7 @@ from joulemap.model.runs.features import Drives, Features, FloatArray
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.words import quantity_name, quantity_value
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.layers.kinds import library
 
 _CHUNK = 400_000  # cells x headings described at a time
 _PLACES = 2000  # of a map, for warnings
@@ -74,6 +75,10 @@ class Correction(Protocol):
         """What is added, JSON-able."""
 
     @property
+    def kinds(self) -> Mapping[str, float]:
+        """Kinds of ground whose cost the runs showed, and the share of the metres on each."""
+
+    @property
     def only_in_logs(self) -> list[str]:
         """Titles of the effects that no plan contains, because only a log records what they depend on."""
 
@@ -98,6 +103,10 @@ class CalibratedPredictor(Predictor):
         return self._name
 
     @property
+    def learned_kinds(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset(self.correction.kinds)
+
+    @property
     def spread(self) -> Spread:
         return self.correction.spread or self.base.spread
 
@@ -118,6 +127,7 @@ class CalibratedPredictor(Predictor):
             f"plans do not contain the effect {title}: it depends on what only a log records"
             for title in self.correction.only_in_logs
         ]
+        found += self._kinds_unlike(heightmap)
         if self.correction.ranges:
             rows = self._on_map(heightmap, robot)
             for name, share in self.correction.beyond(rows).items():
@@ -136,6 +146,40 @@ class CalibratedPredictor(Predictor):
                         + ("follow a law that no run has shown there" if follow else "have their value at the border")
                     )
         return found
+
+    def _kinds_unlike(self, heightmap: Heightmap) -> list[str]:
+        """Warnings of ground that the runs do not show, of a model that learned of kinds of ground."""
+        learned, there = self.correction.kinds, {kind.name for kind in heightmap.layers.kinds if not kind.blocked}
+        if not learned:
+            return []
+        if not there:
+            return [
+                f"the model knows what {', '.join(learned)} cost, and the map has no layer of kinds of ground: it costs "
+                "the mean of what was driven"
+            ]
+        if new := sorted(there - set(learned)):
+            return [
+                f"no run was driven on {', '.join(new)}: there the cost is that of the legend, beside what was driven"
+            ]
+        return []
+
+    def _on_kinds(
+        self, heightmap: Heightmap, robot: Robot, traction: NDArray[Any], x: ArrayLike, y: ArrayLike
+    ) -> NDArray[Any]:
+        """Base traction on kinds of ground that no run shows: with the difference of their default from the mean one of
+        what was driven.
+        """
+        layers, learned = heightmap.layers, self.correction.kinds
+        if not layers.kinds:
+            return traction
+        default = {kind.name: kind.resistance(robot) for kind in (*library().values(), *layers.kinds)}
+        driven = [(share, at) for name, share in learned.items() if (at := default.get(name)) is not None]
+        if learned and not driven:  # nobody knows how they differ
+            return traction
+        own = sum(share * at for share, at in driven) / sum(share for share, _ in driven) if driven else None
+        usual = robot.rolling_resistance if own is None else own
+        more = [0.0 if k.name in learned else (default[k.name] or usual) - usual for k in layers.kinds]
+        return traction + (robot.weight_n * np.array([*more, 0.0])[layers.kind_at(x, y)]).astype(traction.dtype)
 
     def _on_map(self, heightmap: Heightmap, robot: Robot) -> Features:
         """Features of a few thousand places of a map, in four headings."""
@@ -164,7 +208,7 @@ class CalibratedPredictor(Predictor):
         """
         volts = robot.nominal_voltage_v if self.correction.charge and not segments.charge else 1.0
         segments = replace(segments, charge=segments.charge or self.correction.charge)
-        said = predict_segments(self.base, heightmap, robot, segments)
+        said = predict_segments(self.base, heightmap.bare, robot, segments)
         rows, _ = describe_segments(segments, heightmap, robot, said.traction_per_m, with_stationary=False)
         known = np.isfinite(said.energy_j) & np.isfinite(rows.grade)
         beyond = said.energy_j - rows.predicted
@@ -185,16 +229,17 @@ class CalibratedPredictor(Predictor):
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> tuple[FloatArray, FloatArray | None]:
         xs, ys, headings = (np.ascontiguousarray(a, float).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
-        traction, std = self.base.segment_traction_and_std(heightmap, robot, xs, ys, headings)
-        std = self._std(std, traction, robot)
+        traction, std = self.base.segment_traction_and_std(heightmap.bare, robot, xs, ys, headings)
+        traction, std = self._on_kinds(heightmap, robot, traction, xs, ys), self._std(std, traction, robot)
         return self._with_effects(heightmap, robot, xs, ys, headings, traction), std
 
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        traction, std = self.base.traction_and_std(heightmap, robot, frame, headings_rad)
+        traction, std = self.base.traction_and_std(heightmap.bare, robot, frame, headings_rad)
         std = self._std(std, traction, robot)
         x, y = frame.centres()
+        traction = self._on_kinds(heightmap, robot, traction, x[None, :, None], y[:, None, None])
         rows = max(1, _CHUNK // (x.size * len(headings_rad)))
         for start in range(0, y.size, rows):
             part = traction[start : start + rows]

@@ -30,7 +30,7 @@ def residuals_on(
     (n,), which no effect may copy; and the standard deviation that the model assumes, (n,) [J].
     """
     check_place(segments, heightmap)
-    said = predict_segments(predictor, heightmap, robot, segments)
+    said = predict_segments(predictor, heightmap.bare, robot, segments)  # what kinds of ground cost, the runs say
     residuals, index = _residuals(heightmap, robot, segments, said.traction_per_m, said.energy_j, least=least)
     electric = {
         "voltage": segments.voltage_v,

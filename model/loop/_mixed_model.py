@@ -8,6 +8,8 @@ prior of Kass & Wasserman 1995), which settles what the rows do not.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -33,6 +35,8 @@ shipped model differ by 19 %."""
 CERTAINLY_NOT = 0.1
 """p-value of a single test, above which nobody asks how much above."""
 _ROUNDING = 1e-9
+_POOLING = tuple(np.geomspace(1e-4, 1e2, 25))
+"""What the prior of classes is worth, over what the rows say of them: from nothing to all, four steps to a decade."""
 _LARGE = 1e6  # variance between units over that of the noise: as good as fixed levels
 _ROUNDS = 3  # the variance between units follows the coefficients and the coefficients the variance
 
@@ -90,6 +94,7 @@ class MixedModel:
         self.size[self.size == 0.0] = 1.0
         every[:, :-2] /= self.size  # a prior of one row then has precision 1 for every column
         self.variation, self.rows, self.prior_rows, self.whole_runs = variation, every, prior_rows, whole_runs
+        self._pooling = np.zeros((0, 0))
         borders = np.flatnonzero(np.diff(unit, prepend=-1, append=-1))
         parts = [slice(a, b) for a, b in pairwise(borders)]
         self.units = len(parts)
@@ -174,7 +179,37 @@ class MixedModel:
         """
         diagonal = np.einsum("...ii->...i", gram) / len(self.rows)
         diagonal = np.where(diagonal > _ROUNDING, diagonal, 1.0)
-        return gram + (self.prior_rows[chosen] * diagonal)[..., None] * np.eye(gram.shape[-1])
+        with_rows = gram + (self.prior_rows[chosen] * diagonal)[..., None] * np.eye(gram.shape[-1])
+        return with_rows + self._pooling[np.ix_(chosen, chosen)] if self._pooling.size else with_rows
+
+    def pooled(self, groups: Sequence[IntArray], chosen: IntArray, always: IntArray) -> MixedModel:
+        """The same with partial pooling of the coefficients of classes: normal around their mean, with a variance by
+        restricted likelihood (Gelman & Hill 2007, section 12.8).
+
+        groups : columns of each group of classes; a class without a column has the coefficient 0. chosen, always : as of
+        `estimate`.
+        """
+        found, tau2 = copy(self), min(self.tau2(chosen), self.tau2(always))
+        gram = self._by_unit(chosen).at(tau2).sum(axis=0)
+        for group in groups:
+            before, count = found._pooling, len(group)
+            size = self.size[group]
+            shape = np.zeros((len(self.size), len(self.size)))
+            shape[np.ix_(group, group)] = (np.eye(count) - 1.0 / (count + 1.0)) / np.outer(size, size)
+            usual = float(gram.diagonal()[:-1][np.isin(chosen, group)].sum() / np.trace(shape))
+
+            def _loss(
+                ratio: float, shape: FloatArray = shape, usual: float = usual, before: FloatArray = before
+            ) -> float:
+                found._pooling = ratio * usual * shape + (before if before.size else 0.0)
+                normal = found._with_prior(gram[:-1, :-1], chosen)
+                rest = gram[-1, -1] - gram[:-1, -1] @ np.linalg.solve(normal, gram[:-1, -1])
+                freedom = len(self.rows) - len(chosen)
+                likelihood = freedom * float(np.log(max(rest, 1e-300))) + float(np.linalg.slogdet(normal)[1])
+                return likelihood - count * float(np.log(ratio))  # noqa: B023
+
+            _loss(min(_POOLING, key=_loss))
+        return found
 
     def _by_unit(self, chosen: IntArray) -> _ByUnit:
         index = np.append(chosen, -1)

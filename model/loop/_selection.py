@@ -92,6 +92,9 @@ class Selection:
         design = replace(self.design, without=without)
         model = fit_model(design, kept, self.model.variation, robust=False)
         index = design.index(kept)
+        classes = [c.tested for c in kept if c.form.pooled]
+        if classes:
+            model = model.pooled(classes, index, design.fixed)
         estimate = model.estimate(index, design.low[index], design.high[index], design.fixed)
         return estimate, index, self._terms(kept, estimate.coefficients, index)
 

@@ -11,6 +11,7 @@ import numpy as np
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters, with_forces
 from joulemap.model.loop.forms.log_faults import LogFault
+from joulemap.model.loop.forms.terrain_class import TerrainClass
 from joulemap.model.loop.mixture import Mixture
 from joulemap.model.loop.terms import Term, energy_of
 from joulemap.model.runs.features import Drives, Features, FloatArray, quantity, share_beyond
@@ -115,6 +116,14 @@ class Correction:
             if isinstance(form, LogFault):
                 added += form.simulated(resisted, size, _drawn)
         return added
+
+    @property
+    def kinds(self) -> dict[str, float]:
+        """Kinds of ground whose cost the runs showed, and the share of the metres on each; empty without any."""
+        for form in (term.form for term in self.planner_terms):
+            if isinstance(form, TerrainClass) and form.known_before and form.reference:
+                return {form.reference: 1.0 - sum(form.shares), **dict(zip(form.classes, form.shares, strict=True))}
+        return {}
 
     @property
     def of_laws(self) -> set[str]:

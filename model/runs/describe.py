@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.robot import Robot
-from joulemap.model.runs.features import Drives, Features, FloatArray, row_arrays
+from joulemap.model.runs.features import GROUND, Drives, Features, FloatArray, row_arrays
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.runs.under_segments import ground_under, unread_ground
@@ -52,7 +52,7 @@ def describe_segments(
         driven_m=driven,
         clock_s=segments.t0,
         columns=dict(segments.extras),
-        words={key: np.char.lower(np.char.strip(values)) for key, values in segments.texts.items()},
+        words=_words(segments, heightmap),
         unit_j=robot.nominal_voltage_v if segments.charge else 1.0,
         drives=Drives(motor_speed_mps=robot.speed_mps if segments.of_motors else None),
         runs=tuple(f"{name}@{stamp:.1f}" for name, stamp in zip(segments.runs, first, strict=True)),
@@ -104,7 +104,18 @@ def planned_features(
         driven_m=zero,
         clock_s=zero,
         columns={key: np.full(n, value) for key, value in conditions.items()},
+        words={GROUND: heightmap.layers.names_at(x, y)} if heightmap.layers.kinds else {},
     )
+
+
+def _words(segments: Segments, heightmap: Heightmap) -> dict[str, NDArray[np.str_]]:
+    """Columns of text in small letters; where a log does not say the kind of ground, a layer does."""
+    words = {key: np.char.lower(np.char.strip(values)) for key, values in segments.texts.items()}
+    if heightmap.layers.kinds:
+        named = heightmap.layers.names_at(segments.x, segments.y)
+        logged = words.get(GROUND, np.full(len(segments), ""))
+        words[GROUND] = np.where(logged == "", named, logged)
+    return words
 
 
 def _with_stationary(rows: Features, run: NDArray[np.int64], seconds: FloatArray) -> Features:

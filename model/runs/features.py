@@ -19,6 +19,8 @@ from joulemap.model.runs.cutting import ANGLE_COLUMNS
 
 FloatArray = NDArray[np.float64]
 
+GROUND = "terrain"
+"""Column of text with the kind of ground, of a log or of a layer."""
 PLACES = 5
 """Places of a segment whose slopes are known, from one end to the other."""
 _ENDS_HALF = np.array([0.5, 1.0, 1.0, 1.0, 0.5]) / (PLACES - 1)  # weight of each place: the trapezoidal rule

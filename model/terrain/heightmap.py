@@ -131,6 +131,11 @@ class Heightmap:
         heights = denoised(self.heights, self.noise_m, length)
         return replace(self, heights=heights, given_noise_m=0.0, noise_length_m=0.0, removed_noise_m=removed)
 
+    @property
+    def bare(self) -> Heightmap:
+        """The heights without layers."""
+        return replace(self, layers=NO_LAYERS) if self.layers else self
+
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1).
 

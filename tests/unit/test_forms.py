@@ -363,9 +363,10 @@ def test_forms_are_called_by_plain_names_and_say_what_to_drive():
 
 
 def test_only_what_is_known_before_a_drive_is_planned_with():
-    known = {form.name: form.known_before for form in (Turning(), CrossSlope(), Wind(), Temperature(5.0), Climbing())}
+    before = (Turning(), CrossSlope(), Wind(), Temperature(5.0), Climbing(), TerrainClass("terrain", ("mud",)))
+    known = {form.name: form.known_before for form in before}
     assert all(known.values())
-    lasting = (Drift("clock"), Reversing(), MeterLag(), MapShift(), TerrainClass("terrain", ("mud",)))
+    lasting = (Drift("clock"), Reversing(), MeterLag(), MapShift(), TerrainClass("driver", ("anna",)))
     assert not any(form.known_before for form in lasting)
     assert Curve("heading", (0.0, 3.0)).known_before
     assert Curve("column:temperature", (0.0, 3.0)).known_before

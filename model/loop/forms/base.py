@@ -46,6 +46,8 @@ class Form:
         Quantities that it depends on; nothing is tested where a logged column, `column:NAME`, is missing.
     options : mapping of str to sequence
         Values of each setting that are worth a test, in all combinations.
+    pooled : bool
+        Whether its coefficients are those of classes, of which a little known one is like the others.
     tuned : int
         Number of settings that the choice among its variants fits to the runs.
     """
@@ -65,6 +67,7 @@ class Form:
     extrapolates: ClassVar[bool] = False
     covariates: ClassVar[tuple[str, ...]] = ()
     options: ClassVar[Mapping[str, Sequence[Any]]] = {}
+    pooled: ClassVar[bool] = False
     tuned: ClassVar[int] = 0
 
     @property

@@ -3,38 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features, FloatArray
+from joulemap.model.runs.features import GROUND, Features, FloatArray
 
-_GROUND_COLUMNS = ("terrain", "ground", "surface")
+_GROUND_COLUMNS = (GROUND, "ground", "surface")
 
 
-def _classes(rows: Features) -> Iterator[tuple[str, list[str]]]:
-    """Columns of text, and their classes but for the most common one, which is the reference."""
+def _classes(rows: Features) -> Iterator[tuple[str, tuple[str, ...], dict[str, Any]]]:
+    """Columns of text, and their classes but for the most common one, which is the reference; and how much was driven
+    on each.
+    """
     moving = ~rows.standing
     for column, values in sorted(rows.words.items()):
-        words, counts = np.unique(values[moving], return_counts=True)
-        known = {str(w): int(c) for w, c in zip(words, counts, strict=True) if w}
+        words, number = np.unique(values[moving], return_inverse=True)
+        metres = np.bincount(number, weights=rows.length_m[moving], minlength=len(words))
+        known = {str(w): float(m) for w, m in zip(words, metres, strict=True) if w}
         if len(known) > 1:
-            usual = max(known, key=lambda word: known[word])
-            yield column, [word for word in known if word != usual]
+            usual, total = max(known, key=lambda word: known[word]), sum(known.values())
+            others = tuple(word for word in known if word != usual)
+            shares = tuple(round(known[word] / total, 6) for word in others)
+            yield column, others, {"reference": usual, "shares": shares}
 
 
 @dataclass(frozen=True)
 class _ByClass(Form):
-    """What each class of a logged column of text has of its own; a class that is not listed is the reference.
+    """What each class of a logged column of text has of its own, beside the reference.
 
-    column_name : the column. classes : those with a coefficient.
+    column_name : the column. classes : those with a coefficient. reference, shares : the class without one, and which
+    share of the metres was driven on each of the others. What is of no known class costs the mean of what was driven;
+    without shares it is of the reference.
     """
 
     column_name: str
     classes: tuple[str, ...]
+    reference: str = field(default="", kw_only=True)
+    shares: tuple[float, ...] = field(default=(), kw_only=True)
 
-    planned = False
+    pooled = True
+
+    @property
+    def known_before(self) -> bool:
+        return self.column_name in _GROUND_COLUMNS
 
     def coefficient_names(self) -> tuple[str, ...]:
         return self.classes
@@ -44,7 +58,10 @@ class _ByClass(Form):
 
     def columns(self, rows: Features) -> FloatArray:
         found = rows.words.get(self.column_name, np.full(len(rows), ""))
-        return np.stack([(found == word) * self._amount(rows) for word in self.classes], axis=1)
+        unknown = ~np.isin(found, [self.reference, *self.classes])
+        shares = self.shares or (0.0,) * len(self.classes)
+        of_class = [np.where(unknown, share, found == word) for word, share in zip(self.classes, shares, strict=True)]
+        return np.stack([mine * self._amount(rows) for mine in of_class], axis=1)
 
 
 @dataclass(frozen=True)
@@ -75,7 +92,8 @@ class TerrainClass(_ByClass):
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
-        yield from (cls(column, tuple(words), share) for column, words in _classes(rows) for share in (False, True))
+        for column, words, driven in _classes(rows):
+            yield from (cls(column, words, share, **driven) for share in (False, True))
 
 
 @dataclass(frozen=True)
@@ -112,4 +130,4 @@ class TurningByClass(_ByClass):
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
         limit = None if rows.drives.motor_speed_mps is None else round(rows.pivot_per_m, 6)
-        yield from (cls(column, tuple(classes), limit) for column, classes in _classes(rows))
+        yield from (cls(column, classes, limit, **driven) for column, classes, driven in _classes(rows))

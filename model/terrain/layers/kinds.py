@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from joulemap.model.errors import InputError
+from joulemap.model.robot import Robot
 
 _FIELDS = ("value", "rolling_resistance", "factor", "std", "blocked", "source")
 MOST_KINDS = 1000
@@ -63,6 +64,10 @@ class Kind:
                     value=str(value),
                     limit=[0.0, most],
                 )
+
+    def resistance(self, robot: Robot) -> float | None:
+        """Return its rolling resistance for a robot, None where neither that nor a factor is known."""
+        return self.rolling_resistance if self.factor is None else self.factor * robot.rolling_resistance
 
     def as_dict(self) -> dict[str, Any]:
         """Return what is given, JSON-able."""
