@@ -158,9 +158,7 @@ class CalibratedPredictor(Predictor):
                 "the mean of what was driven"
             ]
         if new := sorted(there - set(learned)):
-            return [
-                f"no run was driven on {', '.join(new)}: there the cost is that of the legend, beside what was driven"
-            ]
+            return [f"no run was driven on {', '.join(new)}: the cost is that of the legend, beside what was driven"]
         return []
 
     def _on_kinds(
@@ -176,9 +174,11 @@ class CalibratedPredictor(Predictor):
         driven = [(share, at) for name, share in learned.items() if (at := default.get(name)) is not None]
         if learned and not driven:  # nobody knows how they differ
             return traction
-        own = sum(share * at for share, at in driven) / sum(share for share, _ in driven) if driven else None
-        usual = robot.rolling_resistance if own is None else own
-        more = [0.0 if k.name in learned else (default[k.name] or usual) - usual for k in layers.kinds]
+        usual = robot.rolling_resistance
+        if driven:
+            usual = sum(share * at for share, at in driven) / sum(share for share, _ in driven)
+        new = [usual if k.name in learned else default[k.name] for k in layers.kinds]
+        more = [0.0 if at is None else at - usual for at in new]
         return traction + (robot.weight_n * np.array([*more, 0.0])[layers.kind_at(x, y)]).astype(traction.dtype)
 
     def _on_map(self, heightmap: Heightmap, robot: Robot) -> Features:

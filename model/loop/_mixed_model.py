@@ -186,29 +186,24 @@ class MixedModel:
         """The same with partial pooling of the coefficients of classes: normal around their mean, with a variance by
         restricted likelihood (Gelman & Hill 2007, section 12.8).
 
-        groups : columns of each group of classes; a class without a column has the coefficient 0. chosen, always : as of
-        `estimate`.
+        groups : columns of each group of classes; a class without a column has the coefficient 0. chosen, always : as
+        of `estimate`.
         """
         found, tau2 = copy(self), min(self.tau2(chosen), self.tau2(always))
-        gram = self._by_unit(chosen).at(tau2).sum(axis=0)
+        gram, freedom = self._by_unit(chosen).at(tau2).sum(axis=0), len(self.rows) - len(chosen)
         for group in groups:
-            before, count = found._pooling, len(group)
-            size = self.size[group]
-            shape = np.zeros((len(self.size), len(self.size)))
-            shape[np.ix_(group, group)] = (np.eye(count) - 1.0 / (count + 1.0)) / np.outer(size, size)
-            usual = float(gram.diagonal()[:-1][np.isin(chosen, group)].sum() / np.trace(shape))
-
-            def _loss(
-                ratio: float, shape: FloatArray = shape, usual: float = usual, before: FloatArray = before
-            ) -> float:
-                found._pooling = ratio * usual * shape + (before if before.size else 0.0)
+            shape, size = np.zeros((len(self.size), len(self.size))), self.size[group]
+            shape[np.ix_(group, group)] = (np.eye(len(group)) - 1.0 / (len(group) + 1.0)) / np.outer(size, size)
+            shape *= gram.diagonal()[:-1][np.isin(chosen, group)].sum() / np.trace(shape)
+            others = found._pooling if found._pooling.size else np.zeros_like(shape)
+            losses = []
+            for worth in _POOLING:
+                found._pooling = others + worth * shape
                 normal = found._with_prior(gram[:-1, :-1], chosen)
                 rest = gram[-1, -1] - gram[:-1, -1] @ np.linalg.solve(normal, gram[:-1, -1])
-                freedom = len(self.rows) - len(chosen)
-                likelihood = freedom * float(np.log(max(rest, 1e-300))) + float(np.linalg.slogdet(normal)[1])
-                return likelihood - count * float(np.log(ratio))  # noqa: B023
-
-            _loss(min(_POOLING, key=_loss))
+                loss = freedom * np.log(max(rest, 1e-300)) + np.linalg.slogdet(normal)[1]
+                losses.append(float(loss - len(group) * np.log(worth)))
+            found._pooling = others + _POOLING[int(np.argmin(losses))] * shape
         return found
 
     def _by_unit(self, chosen: IntArray) -> _ByUnit:

@@ -109,12 +109,12 @@ def planned_features(
 
 
 def _words(segments: Segments, heightmap: Heightmap) -> dict[str, NDArray[np.str_]]:
-    """Columns of text in small letters; where a log does not say the kind of ground, a layer does."""
+    """Columns of text in small letters; where a layer knows the kind of ground, it is that of the layer."""
     words = {key: np.char.lower(np.char.strip(values)) for key, values in segments.texts.items()}
     if heightmap.layers.kinds:
         named = heightmap.layers.names_at(segments.x, segments.y)
         logged = words.get(GROUND, np.full(len(segments), ""))
-        words[GROUND] = np.where(logged == "", named, logged)
+        words[GROUND] = np.where(named == "", logged, named)
     return words
 
 

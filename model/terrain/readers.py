@@ -29,8 +29,8 @@ MAX_CELLS = 400_000_000
 ASKED_FOR = ("reprojected from", "a window")
 """What notes begin with that tell of what the user asked for."""
 
-LayerFiles = Mapping[str, str | Path | Sequence[str | Path]]
-"""Files of layers by what they are of."""
+LayerFiles = Mapping[str, str | Path | bytes | Sequence[str | Path]]
+"""Files of layers, or the bytes of one, by what they are of."""
 
 _HEAD_BYTES = 512
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # a Path has lost one of the slashes

@@ -122,6 +122,8 @@ class Client:
         model: str = DEFAULT_MODEL,
         spacing_m: float = 1.0,
         headings: int = 16,
+        layers: Mapping[str, Any] | None = None,
+        legend: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
         timeout_s: float | None = None,
     ) -> ServedCostMap:
@@ -139,6 +141,10 @@ class Client:
             Side of a cell [m].
         headings : int, optional
             Number of headings of each cell.
+        layers : dict of str to dict, optional
+            GeoJSON with polygons of `kinds`, `obstacles`, `free`, `factor` or `cost`.
+        legend : dict of str to dict, optional
+            What kinds of ground cost, by name.
         progress : callable, optional
             Called with the share done, 0..1.
         timeout_s : float, optional
@@ -157,6 +163,7 @@ class Client:
             If it takes longer than `timeout_s`; without one, if the service says nothing of it for a minute.
         """
         body = {"heightmap_id": self._ground_id(ground), "model": model, "spacing_m": spacing_m, "headings": headings}
+        body |= {name: dict(given) for name, given in (("layers", layers), ("legend", legend)) if given}
         asked = self._connection.ask(CostmapOut, "POST", "/v1/costmaps", json=body | _robot_values(robot))
         return ServedCostMap(self._connection, self._wait(asked, "/v1/costmaps", progress, timeout_s))
 

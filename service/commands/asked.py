@@ -47,15 +47,15 @@ _NAMES = {
 """Options whose names are not that of their field."""
 _FILES = {
     "avoid": "GeoJSON with areas (polygons) that no route may touch; may be given several times.",
-    "legend": "Legend of `--layer kinds=FILE` (TOML): a table for every kind of ground, with its `value` in the layer, and "
-    "`rolling_resistance` or `factor`, with `std`, or `blocked`; by default those of the library.",
+    "legend": "Legend of `--layer kinds=FILE` (TOML): a table for every kind of ground, with its `value` in the layer, "
+    "and `rolling_resistance` or `factor`, with `std`, or `blocked`; by default those of the library.",
     "path": "A path: GeoJSON, GPX, KML, a mission (.plan, .waypoints), the JSON of `joulemap path` or `tour`, or CSV "
     "with lines x,y. Several lines are driven one after another.",
 }
 _LAYERS = (
-    "A layer over the heightmap, in its own resolution and coordinate system: kinds=FILE (kinds of ground), obstacles=FILE "
-    "(raster, GeoJSON, or YAML of a Nav2 map), free=FILE (the only ground to be driven on), factor=FILE (of the energy), "
-    "cost=FILE (added J/m); may be given several times."
+    "A layer over the heightmap, in its own resolution and coordinate system: kinds=FILE (kinds of ground), "
+    "obstacles=FILE (raster, GeoJSON, or YAML of a Nav2 map), free=FILE (the only ground to be driven on), factor=FILE "
+    "(of the energy), cost=FILE (added J/m); may be given several times."
 )
 _OF_BATTERY = ("charge", "reserve", "capacity_wh")
 

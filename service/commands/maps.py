@@ -122,10 +122,11 @@ def costmap(
     if server is not None:
         refuse_local(geotiff=geotiff, npz=npz, picture=picture, scheduler=scheduler)
         with service_at(server, key) as service, progress_bar("Cost map") as report:
+            over = _to_send(reading.pop("layers"), reading.pop("legend"))
             sent = service.heightmap(heightmap, **reading)
             output.warn(sent.notes)
             map_there = service.costmap(
-                sent.id, robot=robot, model=model, spacing_m=spacing, headings=headings, progress=report
+                sent.id, robot=robot, model=model, spacing_m=spacing, headings=headings, progress=report, **over
             )
             if out is not None:
                 unpack(map_there.data("zarr"), out)
@@ -190,6 +191,23 @@ def costmap(
             **made.figures,
         }
     )
+
+
+def _to_send(layers: dict[str, list[str]] | None, legend: Path | None) -> dict[str, Any]:
+    """Layers as a service takes them: polygons."""
+    from joulemap.model.terrain.layers.kinds import read_legend
+    from joulemap.model.terrain.layers.reading import read_document
+
+    found = {}
+    for role, files in (layers or {}).items():
+        if len(files) > 1 or Path(files[0]).suffix.lower() not in (".geojson", ".json"):
+            raise typer.BadParameter(
+                f"a service takes one GeoJSON of each kind of layer, and got {', '.join(files)}: make the cost map "
+                "without --server, or draw polygons (gdal_polygonize.py does it)",
+                param_hint="--layer",
+            )
+        found[role] = dict(read_document(files[0]))
+    return {"layers": found, "legend": None if legend is None else read_legend(legend).as_dict()}
 
 
 def _say_served(output: Output, made: CostmapOut, source: str, out: Path | None) -> None:

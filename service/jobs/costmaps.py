@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable, Iterator
+import json
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +34,7 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
     order = MapOrder(
         place=store.lattice_path(row.id).resolve(),
         heightmap=store.heightmap_path(row.heightmap_id).resolve(),
-        reading={"filename": survey.name, **noise_of_stats(survey.stats)},
+        reading={"filename": survey.name, **noise_of_stats(survey.stats), **_over(asked)},
         robot=asked["robot"],
         model=asked["model"],
         spacing_m=asked["spacing_m"],
@@ -44,6 +45,12 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
     if isinstance(store.vault, ObjectVault):  # what other machines have finished is no file here
         return VaultedOrder(store.vault.url, store.folder.resolve(), order)
     return replace(order, finished=tuple(_intact(store, store.alike(row))))
+
+
+def _over(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """The layers that were asked for, as a heightmap is read with them."""
+    sent = {role: json.dumps(polygons).encode() for role, polygons in asked.get("layers", {}).items()}
+    return {"layers": sent, "legend": asked["legend"] or None} if sent else {}
 
 
 def _intact(store: Store, costmap_ids: Iterable[str]) -> Iterator[Path]:

@@ -82,8 +82,8 @@ class ReadingOptions(UploadOptions):
 
     layers: dict[str, list[str]] | None = Field(
         default=None,
-        description="file of what is known of the ground beside its height, as `kinds`, `obstacles` (YAML of a Nav2 map, "
-        "raster, GeoJSON), `free`, `factor` or `cost` [J/m] = FILE; may be given several times",
+        description="file of what is known of the ground beside its height, as `kinds`, `obstacles` (YAML of a Nav2 "
+        "map, raster, GeoJSON), `free`, `factor` or `cost` [J/m] = FILE; may be given several times",
     )
     legend: str | None = Field(
         default=None,

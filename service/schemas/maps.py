@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from joulemap.model.ranges import HEADINGS, SPACING_M
+from joulemap.model.terrain.layers.kinds import MOST_FACTOR, MOST_KINDS, MOST_RESISTANCE
+from joulemap.model.terrain.layers.layer import ROLES
 from joulemap.planner.lattice.build import DEFAULT_HEADINGS
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.schemas.base import (
@@ -56,6 +58,30 @@ class HeightmapOut(ResponseModel):
     links: dict[str, str]
 
 
+LayerRole = Literal["kinds", "obstacles", "free", "factor", "cost"]
+
+
+class KindIn(Request):
+    """What a kind of ground costs: one of `rolling_resistance` and `factor`, or nothing where it is `blocked`."""
+
+    rolling_resistance: float | None = Field(default=None, ge=0.0, le=MOST_RESISTANCE, examples=[0.06])
+    factor: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=MOST_FACTOR,
+        description="of the energy of motion on the robot's own ground",
+        examples=[None],
+    )
+    std: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=MOST_FACTOR,
+        description="standard deviation of whichever of both is given",
+        examples=[0.02],
+    )
+    blocked: bool = Field(default=False, description="no part of the robot may be over it", examples=[False])
+
+
 class CostmapOptions(Request):
     """Settings of a cost map."""
 
@@ -68,6 +94,20 @@ class CostmapOptions(Request):
     )
     spacing_m: Annotated[float, within(SPACING_M)] = Field(
         default=1.0, description="side of a cell [m]", examples=[1.0]
+    )
+    layers: dict[LayerRole, dict[str, Any]] = Field(
+        default={},
+        max_length=len(ROLES),
+        description="what is known of the ground beside its height, as GeoJSON with polygons, in the map's CRS or in "
+        "degrees: `kinds` (features with the property `kind`), `obstacles`, `free` (the only ground to be driven on), "
+        "`factor` (property `factor`, of the energy) or `cost` (property `cost`, added J/m)",
+        examples=[{}],
+    )
+    legend: dict[str, KindIn] = Field(
+        default={},
+        max_length=MOST_KINDS,
+        description="what kinds of ground cost, by name; others are those of the library",
+        examples=[{}],
     )
     headings: int = Field(
         default=DEFAULT_HEADINGS,

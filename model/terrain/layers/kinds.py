@@ -17,8 +17,8 @@ from joulemap.model.robot import Robot
 _FIELDS = ("value", "rolling_resistance", "factor", "std", "blocked", "source")
 MOST_KINDS = 1000
 """Of a legend; land cover maps have ten to fifty."""
-_MOST_RESISTANCE = 2.0  # of the weight: more is no rolling
-_MOST_FACTOR = 100.0
+MOST_RESISTANCE, MOST_FACTOR = 2.0, 100.0
+"""A force of more than twice the weight is no rolling, and a hundred times the energy no ground that one drives on."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Kind:
             raise InputError(
                 f"the kind of ground {self.name!r} has a rolling_resistance and a factor: give one of them"
             )
-        limits = {"rolling_resistance": _MOST_RESISTANCE, "factor": _MOST_FACTOR, "std": _MOST_FACTOR}
+        limits = {"rolling_resistance": MOST_RESISTANCE, "factor": MOST_FACTOR, "std": MOST_FACTOR}
         for field, most in limits.items():
             value = getattr(self, field)
             if value is not None and not (math.isfinite(value) and 0.0 <= value <= most):
@@ -90,11 +90,9 @@ class Legend:
     values: Mapping[int, int]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as `legend_of` takes it, JSON-able."""
-        out = {kind.name: {k: v for k, v in kind.as_dict().items() if k != "name"} for kind in self.kinds}
-        for value, number in self.values.items():
-            out[self.kinds[number].name].setdefault("value", []).append(value)
-        return out
+        """Return what each kind costs, by name, JSON-able."""
+        said = ("rolling_resistance", "factor", "std", "blocked")
+        return {kind.name: {k: v for k, v in kind.as_dict().items() if k in said} for kind in self.kinds}
 
 
 def plain_name(name: object) -> str:

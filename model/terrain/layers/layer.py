@@ -71,7 +71,8 @@ class Layer:
 
     def at(self, x: ArrayLike, y: ArrayLike) -> NDArray[Any]:
         """Return the values of the cells that hold world points [m]; outside the layer it knows nothing."""
-        assert self.frame is not None and self.values is not None
+        assert self.frame is not None
+        assert self.values is not None
         row, col = (np.floor(at + 0.5).astype(np.int64) for at in self.frame.rowcol(x, y))
         inside = (row >= 0) & (row < self.frame.rows) & (col >= 0) & (col < self.frame.cols)
         found = self.values[np.clip(row, 0, self.frame.rows - 1), np.clip(col, 0, self.frame.cols - 1)]
@@ -158,8 +159,9 @@ class Layers:
     ) -> NDArray[Any]:
         """Return the standard deviation of the defaults of kinds of ground, beside those that a model learned [J/m]."""
         own = [0.0 if kind.name in learned else kind.std for kind in self.kinds]
-        share = [0.0 if kind.factor is None else std / max(kind.factor, 1e-3) for kind, std in zip(self.kinds, own)]
-        of_weight = [std if kind.factor is None else 0.0 for kind, std in zip(self.kinds, own)]
+        both = list(zip(self.kinds, own, strict=True))
+        share = [0.0 if kind.factor is None else std / max(kind.factor, 1e-3) for kind, std in both]
+        of_weight = [std if kind.factor is None else 0.0 for kind, std in both]
         at, pull = self.kind_at(x, y), np.maximum(traction_per_m, 0.0)
         return np.asarray(robot.weight_n * np.array([*of_weight, 0.0])[at] + pull * np.array([*share, 0.0])[at])
 
@@ -216,8 +218,8 @@ class Layers:
         free = [k.name for k in self.kinds if k.rolling_resistance is None and k.factor is None and not k.blocked]
         if free:
             found.append(
-                f"the kinds of ground {', '.join(free)} have no cost of their own in the legend or the library: without "
-                "runs on them they cost what the robot's own ground does"
+                f"the kinds of ground {', '.join(free)} have no cost of their own in the legend or the library: "
+                "without runs on them they cost what the robot's own ground does"
             )
         return found
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ from joulemap.model.terrain.crs_text import known_crs
 from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.formats import raster as rasters
 from joulemap.model.terrain.layers.kinds import Legend, legend_of, named_kinds, plain_name, read_legend
-from joulemap.model.terrain.layers.layer import FREE, KINDS, OBSTACLES, ROLES, Layer, Layers
+from joulemap.model.terrain.layers.layer import FACTOR, FREE, KINDS, OBSTACLES, ROLES, Layer, Layers
 from joulemap.model.terrain.layers.nav2 import is_nav2, read_nav2
 from joulemap.model.terrain.readers import MAX_CELLS, LayerFiles, recognised, source_of
 from joulemap.model.terrain.target_grid import moved
@@ -27,6 +28,8 @@ from joulemap.model.terrain.target_grid import moved
 _MARGIN = 2.0  # cells around the map that are read
 _EDGE_POINTS = 21
 _POLYGONS = (".geojson", ".json")
+MOST_CORNERS = 200_000
+"""Of all polygons of a request: drawing so many takes a second."""
 _NAMES = ("kind", "name", "class", "surface")
 """Properties of a feature that name its kind of ground, the first that is there."""
 
@@ -69,7 +72,11 @@ def read_layers(
 ) -> Layers:
     """Read the layers of a heightmap from files, by what they are of. `legend`: a TOML file, or its tables."""
     named = None if legend is None else legend_of(legend) if isinstance(legend, Mapping) else read_legend(legend)
-    every = [(role, one) for role, some in files.items() for one in ([some] if isinstance(some, str | Path) else some)]
+    every = [
+        (role, one)
+        for role, some in files.items()
+        for one in ([some] if isinstance(some, str | Path | bytes) else some)
+    ]
     return Layers(tuple(read_layer(role, one, ground, legend=named) for role, one in every))
 
 
@@ -120,15 +127,11 @@ def polygon_layer(
     kinds: tuple[Any, ...] = ()
     usual: float = math.nan
     if role == KINDS:
-        legend = legend or named_kinds(meant for _, meant in shapes)
-        numbers = {kind.name: k for k, kind in enumerate(legend.kinds)}
-        lost = next((meant for _, meant in shapes if plain_name(meant) not in numbers), None)
-        if lost is not None:
-            raise InputError(
-                f"{source} has the kind of ground {lost!r}, which the legend does not have", kind=str(lost)
-            )
-        shapes = [(geometry, numbers[plain_name(meant)]) for geometry, meant in shapes]
-        kinds, usual = legend.kinds, -1
+        given = () if legend is None else legend.kinds
+        known = {kind.name: kind for kind in (*named_kinds(meant for _, meant in shapes).kinds, *given)}
+        kinds, usual = tuple(known.values()), -1
+        numbers = {name: k for k, name in enumerate(known)}
+        shapes = [(geometry, numbers[meant]) for geometry, meant in shapes]
     drawn = rasterize(
         shapes, out_shape=ground.shape, transform=transform, all_touched=role == OBSTACLES, fill=usual, dtype=np.float64
     )
@@ -140,6 +143,22 @@ def polygon_layer(
     return Layer(role, source, ground, drawn.astype(np.float32))
 
 
+def check_polygons(sent: Mapping[str, Mapping[str, Any]], ground: GridFrame, legend: Mapping[str, Any]) -> None:
+    """Refuse layers of polygons that somebody sent for a heightmap, without drawing them. Raises InputError."""
+    named, count, side_m = legend_of(legend) if legend else None, 0, ground.bounds[2] - ground.west_m
+    whole = replace(ground, resolution_m=side_m, rows=1, cols=1)
+    for role, document in sent.items():
+        try:
+            count += sum(1 for geometry, _ in _features(document) for _ in _corners(geometry["coordinates"]))
+            if count > MOST_CORNERS:
+                raise InputError(
+                    f"the layers have more than {MOST_CORNERS:,} corners: simplify them", limit=MOST_CORNERS
+                )
+            polygon_layer(role, document, whole, legend=named, source=f"the layer of {role}")
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"the layer of {role} is no GeoJSON with polygons: {error!r:.200}", role=role) from error
+
+
 def _meant(role: str, properties: Mapping[str, Any], source: str) -> Any:
     if role in (OBSTACLES, FREE):
         return 1.0
@@ -149,7 +168,13 @@ def _meant(role: str, properties: Mapping[str, Any], source: str) -> Any:
         raise InputError(
             f"a polygon of {source} does not say its {role}: give it the property {keys[0]!r}", key=keys[0]
         )
-    return plain_name(value) if role == KINDS else float(value)
+    if role == KINDS:
+        return plain_name(value)
+    if not math.isfinite(number := float(value)):
+        raise InputError(f"a polygon of {source} has the {role} {value!r}, which is no finite number")
+    if role == FACTOR and number < 0.0:
+        raise InputError(f"a factor in {source} is {number:g}: below 0 driving would give energy", limit=0.0)
+    return number
 
 
 def _features(document: Mapping[str, Any]) -> Iterator[tuple[Mapping[str, Any], Mapping[str, Any]]]:
@@ -181,6 +206,11 @@ def _corners(nested: Any) -> Iterator[tuple[float, float]]:
     else:
         for part in nested:
             yield from _corners(part)
+
+
+def read_document(path: str | Path) -> Mapping[str, Any]:
+    """Return the GeoJSON of a file."""
+    return _document(source_of(path, None, alone=False))
 
 
 def _document(file: SourceFile) -> Mapping[str, Any]:
@@ -282,8 +312,8 @@ def _of_kinds(values: NDArray[Any], frame: GridFrame, legend: Legend | None, sou
     if legend is None or not legend.values:
         some = ", ".join(f"{value:g}" for value in stored[:8])
         raise InputError(
-            f"{source} has the values {some}, and nobody says which kinds of ground they are: give a legend, a TOML file "
-            "with a table for each, such as [grass] with value = 1",
+            f"{source} has the values {some}, and nobody says which kinds of ground they are: give a legend, a TOML "
+            "file with a table for each, such as [grass] with value = 1",
             values=[float(value) for value in stored[:100]],
         )
     lost = [value for value in stored.tolist() if value not in legend.values]

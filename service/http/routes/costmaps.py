@@ -13,6 +13,7 @@ from starlette.exceptions import HTTPException
 from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.model.terrain.layers.reading import check_polygons
 from joulemap.service.cost_lattices import check_lattice
 from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import costmap_body, problems
@@ -118,6 +119,15 @@ def _check_settings(service: Service, wanted: CostmapOptions) -> None:
         service.find_predictor(wanted.model)
 
 
+def _checked_layers(wanted: CostmapOptions, frame: GridFrame) -> dict[str, Any]:
+    """The layers of a request, as a job keeps them. Raises InputError where one is no layer of this map."""
+    if not wanted.layers:
+        return {}
+    legend = {name: kind.model_dump(exclude_defaults=True) for name, kind in wanted.legend.items()}
+    check_polygons(wanted.layers, frame, legend)
+    return {"layers": wanted.layers, "legend": legend}
+
+
 def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) -> CostmapRow:
     stats = heightmap.stats
     west, _, _, north = stats["bounds"]
@@ -125,6 +135,7 @@ def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) 
     limit = service.settings.max_lattice_values
     tiling = check_lattice(frame, spacing_m=wanted.spacing_m, headings=wanted.headings, max_values=limit)
     robot = Robot.from_mapping(robot_values(wanted.robot))
+    over = _checked_layers(wanted, frame)
     service.check_room()
     row = service.store.add_costmap(
         heightmap.id,
@@ -133,6 +144,7 @@ def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) 
             "model": wanted.model,
             "spacing_m": wanted.spacing_m,
             "headings": wanted.headings,
+            **over,
         },
         most_bytes=MOST_BYTES_PER_VALUE * tiling.values,
     )
