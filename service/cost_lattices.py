@@ -49,7 +49,7 @@ def prepare_build(
     """
     tiling = check_lattice(ground.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
     predictor = find_predictor(model, models_dir=models_dir)
-    return planning_robot(predictor, robot), predictor, tiling
+    return planning_robot(predictor, robot, ground), predictor, tiling
 
 
 def load_kernels(model: str | Path, robot: Robot) -> None:

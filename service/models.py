@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from joulemap.model.energy.predictor import MODEL_NAMES, SHIPPED_WEIGHTS, Predictor, load_predictor
 from joulemap.model.errors import ModelError
 from joulemap.model.robot import Robot
+from joulemap.model.terrain.windows import Ground
 
 DEFAULT_MODEL = "default"
 CALIBRATED_FOLDER = "model"
@@ -21,7 +22,7 @@ _MODEL_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 class _KnowsTurning(Protocol):
     """A network or a calibrated model that may have learned what turning costs."""
 
-    def robot_with_turning(self, robot: Robot) -> Robot: ...
+    def robot_with_turning(self, robot: Robot, kinds: Mapping[str, float] | None = None) -> Robot: ...
 
 
 def find_predictor(model: str | Path, *, models_dir: Path | None = None, hidden: Collection[str] = ()) -> Predictor:
@@ -64,9 +65,11 @@ def model_name(folder: Path) -> str:
     return f"{own.parent.name}/{own.name}" if own.name == CALIBRATED_FOLDER else own.name
 
 
-def planning_robot(predictor: Predictor, robot: Robot) -> Robot:
-    """Return the robot with the energy of turning that the model learned."""
-    return predictor.robot_with_turning(robot) if isinstance(predictor, _KnowsTurning) else robot
+def planning_robot(predictor: Predictor, robot: Robot, ground: Ground | None = None) -> Robot:
+    """Return the robot with the energy of turning that the model learned, on the kinds of ground of a map."""
+    if not isinstance(predictor, _KnowsTurning):
+        return robot
+    return predictor.robot_with_turning(robot, None if ground is None else ground.layers.kind_shares(ground.frame))
 
 
 def start_folder(name: str | Path) -> Path | None:

@@ -59,6 +59,10 @@ class Correction(Protocol):
         """Cost of turning in plans [J/rad], in addition to the robot's own."""
 
     @property
+    def turn_by_kind(self) -> Mapping[str, float]:
+        """What is added to that on a kind of ground [J/rad], by name."""
+
+    @property
     def conditions(self) -> Mapping[str, float]:
         """Logged columns at which plans are made."""
 
@@ -164,9 +168,7 @@ class CalibratedPredictor(Predictor):
     def _on_kinds(
         self, heightmap: Heightmap, robot: Robot, traction: NDArray[Any], x: ArrayLike, y: ArrayLike
     ) -> NDArray[Any]:
-        """Base traction on kinds of ground that no run shows: with the difference of their default from the mean one of
-        what was driven.
-        """
+        """Base traction, with the difference of the default of a kind that no run shows from the mean one of others."""
         layers, learned = heightmap.layers, self.correction.kinds
         if not layers.kinds:
             return traction
@@ -194,11 +196,12 @@ class CalibratedPredictor(Predictor):
         )
         return rows.take(np.isfinite(rows.grade))
 
-    def robot_with_turning(self, robot: Robot) -> Robot:
-        """Return the robot with the cost of turning that was found."""
+    def robot_with_turning(self, robot: Robot, kinds: Mapping[str, float] | None = None) -> Robot:
+        """Return the robot with the cost of turning that was found, on a map with these shares of kinds of ground."""
         learned = getattr(self.base, "robot_with_turning", None)  # of a network, which a calibration adds to
         known = robot if learned is None else learned(robot)
-        return replace(known, turn_j_per_rad=max(known.turn_j_per_rad + self.correction.turn_j_per_rad, 0.0))
+        more = sum(share * self.correction.turn_by_kind.get(kind, 0.0) for kind, share in (kinds or {}).items())
+        return replace(known, turn_j_per_rad=max(known.turn_j_per_rad + self.correction.turn_j_per_rad + more, 0.0))
 
     def predict_segments(self, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
         """Predict measured segments from everything that their log says.

@@ -55,8 +55,8 @@ class Learned(ABC):
         other = robot_warnings(trained, robot, model=self.name) if isinstance(trained, Mapping) else []
         return [*other, *self.domain.warnings(heightmap, robot)]
 
-    def robot_with_turning(self, robot: Robot) -> Robot:
-        """Return the robot with the energy of turning that the model's runs showed.
+    def robot_with_turning(self, robot: Robot, kinds: Mapping[str, float] | None = None) -> Robot:
+        """Return the robot with the energy of turning that the model's runs showed, whatever the kinds of ground.
 
         Result: with another `turn_j_per_rad`: that at its declared speed, or at the nearest that the runs showed.
         """

@@ -80,6 +80,7 @@ def _written(correction: Correction) -> dict[str, Any]:
         "mixture": None if correction.mixture is None else correction.mixture.as_dict(),
         "reliability": None if correction.reliability is None else dict(correction.reliability),
         "drive_prior": None if correction.drive_prior is None else dict(correction.drive_prior),
+        **({"turn_by_kind": dict(correction.turn_by_kind)} if correction.turn_by_kind else {}),
     }
 
 
@@ -101,6 +102,7 @@ def _read(values: Mapping[str, Any]) -> Correction:
             _mixture(values),
             values.get("reliability"),
             values.get("drive_prior"),
+            {name: float(turn) for name, turn in values.get("turn_by_kind", {}).items()},
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"a calibration is not complete: {error!r}") from error

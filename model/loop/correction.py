@@ -37,6 +37,8 @@ class Correction:
         Whether the scale of the base prediction is unknown, so that the terms replace it.
     turn_j_per_rad : float
         Cost of turning in plans [J/rad], in addition to the robot's own.
+    turn_by_kind : mapping
+        What is added to that on a kind of ground [J/rad], by name.
     conditions : mapping
         Logged columns at which plans are made unless others are given: their means on the runs.
     evidence : sequence of mapping
@@ -68,6 +70,7 @@ class Correction:
     mixture: Mixture | None = None
     reliability: Mapping[str, Any] | None = None
     drive_prior: Mapping[str, Any] | None = None
+    turn_by_kind: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def effects(self) -> list[dict[str, Any]]:

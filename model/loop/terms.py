@@ -72,8 +72,8 @@ def energy_of(terms: Sequence[Term], rows: Features) -> FloatArray:
     return np.sum([t.energy(rows) for t in terms], axis=0) if terms else np.zeros(len(rows))
 
 
-def turning_per_rad(terms: Sequence[Term], rows: Features) -> float:
-    """Return the cost of a radian of turning in plans.
+def turning_per_rad(terms: Sequence[Term], rows: Features, kind: str = "") -> float:
+    """Return the cost of a radian of turning in plans, on a kind of ground or on all that was driven on.
 
     Result: cost [J/rad, or A s/rad]: the slope of the energy of turning, beyond that of going straight on, over the
     angle that each row turned, in least squares. Turns beyond the driven range are left out: a log may not show the
@@ -82,8 +82,9 @@ def turning_per_rad(terms: Sequence[Term], rows: Features) -> float:
     moving = rows.take(~rows.standing)
     rows = moving.take(moving.turned_abs_rad <= np.quantile(moving.turned_abs_rad, 1.0 - SHARE_DRIVEN))
     turned = rows.turned_abs_rad
-    rows = replace(rows, drives=replace(rows.drives, motor_speed_mps=None))
+    named = {column: np.full(len(rows), kind) for column in rows.words}
+    rows = replace(rows, words=named, drives=replace(rows.drives, motor_speed_mps=None))
     straight = replace(rows, turned_abs_rad=0.0 * turned, gentle_turn_rad=0.0 * rows.gentle_turn_rad)
-    of_turning = [t for t in terms if t.form.name == "turning"]
+    of_turning = [t for t in terms if t.form.name == "turning" or "turning" in t.form.parts]
     energy = energy_of(of_turning, rows) - energy_of(of_turning, straight)  # a curve may be nil at another turn
     return float(turned @ energy) / max(float(turned @ turned), 1e-12)

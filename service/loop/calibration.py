@@ -21,6 +21,7 @@ from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.loop.calibration_file import save_calibrated
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.drive_prior import columns_of_rows, fit_drive_prior, prior_of_spread
+from joulemap.model.loop.mixture import CALIBRATED
 from joulemap.model.loop.report import report_document
 from joulemap.model.loop.terms import turning_per_rad
 from joulemap.model.robot import Robot
@@ -256,14 +257,18 @@ def correction_of(
         start = prior_of_spread(spread, columns, std)
         prior = fit_drive_prior(measured_j[judged], columns, std, run, start).as_dict()
     correction = found.fitted.correction
-    turned = unit_j * turning_per_rad(correction.planner_terms, rows)
+    terms = correction.planner_terms
+    turned = unit_j * turning_per_rad(terms, rows)
+    by_kind = {kind: unit_j * turning_per_rad(terms, rows, kind) - turned for kind in correction.kinds}
     turn, factor, mixture = turned + declared_turn, found.levels["proposed"].factor, found.mixture
     if mixture is not None:
         turn = unit_j * mixture.turned(turn / unit_j, declared_turn / unit_j)
+        by_kind = {kind: mixture.shares.get(CALIBRATED, 0.0) * more for kind, more in by_kind.items()}
     return replace(
         correction,
         mixture=mixture,
         turn_j_per_rad=factor * turn - declared_turn,
+        turn_by_kind={kind: factor * more for kind, more in by_kind.items() if more},
         conditions=conditions,
         evidence=[{"name": e.term.form.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
         spread=spread,

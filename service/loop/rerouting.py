@@ -154,7 +154,7 @@ def compare_routes(
     """Plan the same task with two models. `places` (n, 2): world points that the runs visited [m]."""
     west, south, east, north = heightmap.frame.bounds
     spacing = max(1.0, math.ceil(math.sqrt((east - west) * (north - south) / _CELLS)))
-    robots = planning_robot(before, robot), planning_robot(after, robot)
+    robots = planning_robot(before, robot, heightmap), planning_robot(after, robot, heightmap)
     new = build_lattice(heightmap, robots[1], after, spacing_m=spacing)
     # an effect may be unknown where the base model is not: both go where both know
     old = replace(build_lattice(heightmap, robots[0], before, spacing_m=spacing), blocked=new.blocked)

@@ -216,3 +216,26 @@ def test_written_heightmaps_take_layers_as_they_are_read(tmp_path, land):
     (tmp_path / "legend.toml").write_text("[grass]\nvalue = 1\nrolling_resistance = 0.08\n")
     read = jm.read_heightmap(tmp_path / "level.tif", layers={"kinds": land}, legend=tmp_path / "legend.toml")
     assert price_at(jm.costmap(read, ROBOT, model="physics"), 8.5, 30.5) == pytest.approx(eq5(0.08), rel=1e-5)
+
+
+@pytest.mark.parametrize("mode", ["trinary", "raw", "negated"])
+def test_a_map_of_nav2_lies_where_its_origin_and_yaw_say(mode, tmp_path):
+    """An obstacle in the north-west corner of the picture; turned by 90 degrees it is in the south-west of the ground."""
+    occupied, free, unknown = {"trinary": (0, 254, 205), "raw": (100, 0, 255), "negated": (254, 0, 100)}[mode]
+    picture = np.full((20, 30), free, dtype=np.uint8)
+    picture[:4, :6], picture[10:, 20:] = occupied, unknown
+    (tmp_path / "yard.pgm").write_bytes(b"P5\n30 20\n255\n" + picture.tobytes())
+    said = f"image: yard.pgm\nresolution: 1.0\nmode: {'raw' if mode == 'raw' else 'trinary'}\n"
+    said += f"negate: {int(mode == 'negated')}\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+    (tmp_path / "yard.yaml").write_text(f"{said}origin: [{WEST}, {NORTH - 40.0}, 0.0]\n")
+    (tmp_path / "turned.yaml").write_text(f"{said}origin: [{WEST + 30.0}, {NORTH - 40.0}, {math.pi / 2}]\n")
+
+    def _closed(places, **layer: Path) -> list[bool]:
+        (found,) = jm.with_layers(level(), **layer).layers.closing
+        return [bool(found.is_closed(WEST + x, NORTH - 40.0 + y)) for x, y in places]
+
+    places = ((3, 18), (3, 3), (12, 3), (28, 3))
+    assert _closed(places, obstacles=tmp_path / "yard.yaml") == [True, False, False, False]
+    assert _closed(places, obstacles=tmp_path / "turned.yaml") == [False, False, True, False]
+    known = _closed(((3, 18), (3, 3), (28, 3), (35, 3)), free=tmp_path / "yard.yaml")
+    assert known == [True, False, True, True]  # unknown and what lies outside are closed

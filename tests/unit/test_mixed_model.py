@@ -185,3 +185,22 @@ def test_a_column_that_one_run_shows_is_not_guessed_for_it_from_the_others():
     model = _model(x, z, run)
     with_it, without = model.left_out(np.array([0, 1]), 0.0), model.left_out(SECOND, 0.0)
     assert with_it[0] < 1.5 * without[0]
+
+
+@pytest.mark.parametrize("spread", [0.3, 1.0])
+def test_classes_are_pooled_as_statsmodels_predicts_random_effects(spread):
+    """Eight classes, one of them in ten rows of 700; the first has no column, and is one of them all the same."""
+    rng = np.random.default_rng(17)
+    number = np.append(np.repeat(np.arange(7), 100), np.full(10, 7))
+    z = 2.0 + rng.normal(0.0, spread, 8)[number] + rng.normal(size=number.size)
+    columns = np.column_stack([np.ones(number.size), *(number == k for k in range(1, 8))]).astype(float)
+    run = np.zeros(number.size, dtype=np.int64)
+    variation = Variation(run, np.ones(run.size, dtype=bool), np.ones(run.size), np.ones(run.size))
+    alone = MixedModel(variation, columns, z, np.ones(run.size), run, np.full(8, 1e-9), whole_runs=True)
+    every, limits = np.arange(8), np.full(8, np.inf)
+    pooled = alone.pooled([every[1:]], every, every[:1]).estimate(every, -limits, limits, every[:1]).coefficients
+    theirs = MixedLM(z, np.ones((number.size, 1)), number).fit(reml=True)
+    expected = [theirs.fe_params[0] + theirs.random_effects[k].iloc[0] for k in range(8)]
+    np.testing.assert_allclose(pooled[0] + np.append(0.0, pooled[1:]), expected, atol=0.03)
+    free = z[number == 7].mean()
+    assert abs(pooled[0] + pooled[7] - np.mean(expected)) < abs(free - np.mean(expected))

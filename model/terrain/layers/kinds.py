@@ -120,7 +120,7 @@ def legend_of(tables: Mapping[str, Any]) -> Legend:
             if isinstance(value, bool) or not isinstance(value, int):
                 raise InputError(f"value = {value!r} of {name!r} in the legend is no whole number")
             if value in values:
-                raise InputError(f"the value {value} stands for {kinds[values[value]].name!r} and for {name!r}")
+                raise InputError(f"the value {value} means {kinds[values[value]].name!r} and {name!r}")
             values[value] = number
         given = {key: table[key] for key in _FIELDS[1:] if key in table}
         kinds.append(_kind(plain_name(name), given))

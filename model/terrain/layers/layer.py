@@ -26,6 +26,7 @@ ROLES = {
     COST: "energy that is added [J/m]",
 }
 """What a layer may be of."""
+_PLACES = 100_000  # of a map, for shares
 _INSIDE = 1e-6  # of a square: what only touches it is not in it
 
 CostFunction = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], ArrayLike]
@@ -138,6 +139,17 @@ class Layers:
     def names_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.str_]:
         """Return the name of the kind of ground at world points; empty where no layer knows it."""
         return np.array([*(kind.name for kind in self.kinds), ""])[self.kind_at(x, y)]
+
+    def kind_shares(self, frame: GridFrame) -> dict[str, float]:
+        """Return the share of a map on which each kind of ground is, by name; blocked ones are no ground to drive on."""
+        if not self.kinds:
+            return {}
+        x, y = frame.centres()
+        step = max(1, math.ceil(math.sqrt(x.size * y.size / _PLACES)))
+        at = self.kind_at(x[None, ::step], y[::step, None])
+        free = {k: kind.name for k, kind in enumerate(self.kinds) if not kind.blocked}
+        known = max(int(np.isin(at, [-1, *free]).sum()), 1)
+        return {name: float((at == k).sum()) / known for k, name in free.items()}
 
     def on_kinds(self, traction_per_m: NDArray[Any], robot: Robot, x: ArrayLike, y: ArrayLike) -> NDArray[Any]:
         """Return traction [J/m] on the kinds of ground at its places, by their defaults.

@@ -43,7 +43,8 @@ def read_nav2(file: SourceFile, crs: str | None) -> Raster:
     scaling = Scaling(scale_m=1.0)
     raster = rasters.open_windows(picture, scaling, north_up=False)
     rows, cols = raster.shape
-    values = raster.read(scaling, slice(0, rows), slice(0, cols)).astype(np.float64)
+    with raster.dataset() as dataset:  # as it is stored: GDAL has no place for a PGM, or a wrong one
+        values = raster.read_from(dataset, scaling, slice(0, rows), slice(0, cols)).astype(np.float64)
     side, (west, south, yaw) = float(said["resolution"]), (float(v) for v in (*said["origin"], 0.0)[:3])
     if said.get("mode", "trinary") == "raw":
         share = np.where(values <= 100.0, values / 100.0, np.nan)
