@@ -141,7 +141,7 @@ class Layers:
         return np.array([*(kind.name for kind in self.kinds), ""])[self.kind_at(x, y)]
 
     def kind_shares(self, frame: GridFrame) -> dict[str, float]:
-        """Return the share of a map on which each kind of ground is, by name; blocked ones are no ground to drive on."""
+        """Return which share of a map is of each kind of ground, by name, beside what is blocked."""
         if not self.kinds:
             return {}
         x, y = frame.centres()

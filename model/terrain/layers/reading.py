@@ -63,7 +63,10 @@ def read_layer(
     if is_nav2(file):
         if role not in (OBSTACLES, FREE):
             raise InputError(f"{file.name} is a map of Nav2, which knows obstacles: give it as obstacles or as free")
-        return layer_of(role, read_nav2(file, ground.crs), ground, source=file.name)
+        found = read_nav2(file, ground.crs)
+        if role == FREE:
+            found = found._replace(values=1.0 - found.values)
+        return layer_of(role, found, ground, source=file.name)
     return layer_of(role, _raster(file, ground), ground, legend=legend, source=file.name)
 
 
@@ -250,8 +253,8 @@ def _like_the_map(values: NDArray[Any], ground: GridFrame, name: str) -> Raster:
     """A layer that does not say where it lies has as many cells as the map."""
     if values.shape != ground.shape:
         raise InputError(
-            f"{name} does not say where it lies, and has {' x '.join(map(str, values.shape))} cells where the heightmap "
-            f"has {ground.rows} x {ground.cols}: give a GeoTIFF, or as many cells",
+            f"{name} does not say where it lies, and has {' x '.join(map(str, values.shape))} cells where the "
+            f"heightmap has {ground.rows} x {ground.cols}: give a GeoTIFF, or as many cells",
             shape=list(values.shape),
         )
     side = ground.resolution_m
