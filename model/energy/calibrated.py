@@ -158,8 +158,8 @@ class CalibratedPredictor(Predictor):
             return []
         if not there:
             return [
-                f"the model knows what {', '.join(learned)} cost, and the map has no layer of kinds of ground: it costs "
-                "the mean of what was driven"
+                f"the model knows what {', '.join(learned)} cost, and the map has no layer of kinds of ground: it "
+                "costs the mean of what was driven"
             ]
         if new := sorted(there - set(learned)):
             return [f"no run was driven on {', '.join(new)}: the cost is that of the legend, beside what was driven"]

@@ -162,7 +162,7 @@ def test_obstacles_of_any_resolution_close_a_wall_but_for_its_door(cell_m):
     start, goal = (WEST + 10.0, NORTH - 10.0), (WEST + 10.0, NORTH - 30.0)
     route = costs.plan(start, goal)
     assert route.length_m > 2.0 * math.hypot(18.0, 9.0)
-    whole = jm.with_layers(level(), obstacles=given.where(given > 0, np.abs(given.y - (NORTH - 20.0)) < 1.0))
+    whole = jm.with_layers(level(), obstacles=given.where(given > 0, np.abs(given.y - (NORTH - 20.0)) <= 1.0))
     with pytest.raises(NoRouteError):
         jm.costmap(whole, ROBOT, model="physics").plan(start, goal)
 
@@ -220,7 +220,7 @@ def test_written_heightmaps_take_layers_as_they_are_read(tmp_path, land):
 
 @pytest.mark.parametrize("mode", ["trinary", "raw", "negated"])
 def test_a_map_of_nav2_lies_where_its_origin_and_yaw_say(mode, tmp_path):
-    """An obstacle in the north-west corner of the picture; turned by 90 degrees it is in the south-west of the ground."""
+    """An obstacle in the north-west corner of the picture, which a turn by 90 degrees moves to the south-west."""
     occupied, free, unknown = {"trinary": (0, 254, 205), "raw": (100, 0, 255), "negated": (254, 0, 100)}[mode]
     picture = np.full((20, 30), free, dtype=np.uint8)
     picture[:4, :6], picture[10:, 20:] = occupied, unknown

@@ -297,8 +297,8 @@ def _on_grid(raster: Raster, ground: GridFrame, name: str) -> tuple[NDArray[Any]
     side = min(math.sqrt(area / (rows * cols)), east - west, north - south)
     if not side > 0.0:
         raise InputError(f"the layer {name} lies outside the heightmap: do they belong together?")
-    frame = GridFrame(west, north, side, max(math.ceil((north - south) / side), 1), max(math.ceil((east - west) / side), 1),
-                      ground.crs)  # fmt: skip
+    down, right = (max(math.ceil(length / side), 1) for length in (north - south, east - west))
+    frame = GridFrame(west, north, side, down, right, ground.crs)
     cx, cy = frame.centres()
     gx, gy = (a.ravel() for a in np.meshgrid(cx, cy))
     sx, sy = moved(ground.crs, crs, Affine.identity(), gx, gy) if not same else (gx, gy)
