@@ -107,7 +107,8 @@ class CalibratedPredictor(Predictor):
         return self._name
 
     @property
-    def learned_kinds(self) -> frozenset[str]:  # type: ignore[override]
+    def learned_kinds(self) -> frozenset[str]:
+        """Kinds of ground, by name, whose cost it learned of runs."""
         return frozenset(self.correction.kinds)
 
     @property

@@ -30,9 +30,6 @@ class Predictor(TractionSource, Protocol):
     Lattice and single segments give the same answer for the same place and heading, up to float32 rounding.
     """
 
-    learned_kinds: frozenset[str] = frozenset()
-    """Kinds of ground, by name, whose cost it learned of runs."""
-
     @property
     def spread(self) -> Spread:
         """Width of the intervals around its answers."""

@@ -266,13 +266,39 @@ def _window_note(frame: GridFrame) -> str:
 
 
 def recognised(source: SourceFile) -> tuple[SourceFile, HeightmapFormat]:
-    """Return a file, out of its archive where it is in one, and its format."""
+    """Return a file, out of its archive where it is in one, and its format.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The file.
+
+    Returns
+    -------
+    tuple of SourceFile and HeightmapFormat
+        Unpacked, and how it is read.
+    """
     file = unpacked(source, tuple(suffix for each in FORMATS for suffix in each.suffixes))
     return file, _format_of(file)
 
 
 def source_of(source: str | Path | bytes, filename: str | None, *, alone: bool) -> SourceFile:
-    """Return a file, or bytes, to be read."""
+    """Return a file, or bytes, to be read.
+
+    Parameters
+    ----------
+    source : str, Path or bytes
+        The file, or its bytes.
+    filename : str or None
+        Its name, where it has another one.
+    alone : bool
+        Whether it may open no other file.
+
+    Returns
+    -------
+    SourceFile
+        Not read yet.
+    """
     if isinstance(source, bytes):
         return SourceFile(source, filename or "bytes", source[:_HEAD_BYTES], alone=True)
     if _URL.match(str(source)):

@@ -66,7 +66,18 @@ class Kind:
                 )
 
     def resistance(self, robot: Robot) -> float | None:
-        """Return its rolling resistance for a robot, None where neither that nor a factor is known."""
+        """Return its rolling resistance for a robot.
+
+        Parameters
+        ----------
+        robot : Robot
+            Whose own rolling resistance a factor multiplies.
+
+        Returns
+        -------
+        float or None
+            A share of the weight; None where neither that nor a factor is known.
+        """
         return self.rolling_resistance if self.factor is None else self.factor * robot.rolling_resistance
 
     def as_dict(self) -> dict[str, Any]:

@@ -71,7 +71,18 @@ class Layer:
             )
 
     def at(self, x: ArrayLike, y: ArrayLike) -> NDArray[Any]:
-        """Return the values of the cells that hold world points [m]; outside the layer it knows nothing."""
+        """Return the values of the cells that hold world points [m]; outside the layer it knows nothing.
+
+        Parameters
+        ----------
+        x, y : array_like
+            World points [m].
+
+        Returns
+        -------
+        ndarray
+            Of the layer's own numbers.
+        """
         assert self.frame is not None
         assert self.values is not None
         row, col = (np.floor(at + 0.5).astype(np.int64) for at in self.frame.rowcol(x, y))
@@ -86,7 +97,18 @@ class Layer:
         return self.role in (OBSTACLES, FREE) or any(kind.blocked for kind in self.kinds)
 
     def is_closed(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
-        """Return where it has obstacles. The result has the shape of the points."""
+        """Return where it has obstacles.
+
+        Parameters
+        ----------
+        x, y : array_like
+            World points [m].
+
+        Returns
+        -------
+        ndarray of bool
+            In the shape of the points.
+        """
         found = self.at(x, y)
         if self.role != KINDS:
             return np.asarray(found, dtype=np.bool_)
@@ -119,7 +141,18 @@ class Layers:
         return bool(self.each)
 
     def of(self, *roles: str) -> list[Layer]:
-        """Return the layers of some roles."""
+        """Return the layers of some roles.
+
+        Parameters
+        ----------
+        *roles : str
+            Of `ROLES`.
+
+        Returns
+        -------
+        list of Layer
+            In their order.
+        """
         return [layer for layer in self.each if layer.role in roles]
 
     @cached_property
@@ -128,7 +161,18 @@ class Layers:
         return tuple({kind.name: kind for layer in self.each for kind in layer.kinds}.values())
 
     def kind_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.int64]:
-        """Return the number of the kind of ground in `kinds` at world points; -1 where no layer knows it."""
+        """Return the number of the kind of ground in `kinds` at world points; -1 where no layer knows it.
+
+        Parameters
+        ----------
+        x, y : array_like
+            World points [m].
+
+        Returns
+        -------
+        ndarray of int
+            In the shape of the points.
+        """
         number = {kind.name: k for k, kind in enumerate(self.kinds)}
         found = np.full(np.broadcast(x, y).shape, -1, dtype=np.int64)
         for layer in self.of(KINDS):
@@ -137,11 +181,33 @@ class Layers:
         return found
 
     def names_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.str_]:
-        """Return the name of the kind of ground at world points; empty where no layer knows it."""
+        """Return the name of the kind of ground at world points; empty where no layer knows it.
+
+        Parameters
+        ----------
+        x, y : array_like
+            World points [m].
+
+        Returns
+        -------
+        ndarray of str
+            In the shape of the points.
+        """
         return np.array([*(kind.name for kind in self.kinds), ""])[self.kind_at(x, y)]
 
     def kind_shares(self, frame: GridFrame) -> dict[str, float]:
-        """Return which share of a map is of each kind of ground, by name, beside what is blocked."""
+        """Return which share of a map is of each kind of ground, by name, beside what is blocked.
+
+        Parameters
+        ----------
+        frame : GridFrame
+            Cells of a map.
+
+        Returns
+        -------
+        dict
+            Name -> share, 0..1.
+        """
         if not self.kinds:
             return {}
         x, y = frame.centres()
@@ -154,7 +220,19 @@ class Layers:
     def on_kinds(self, traction_per_m: NDArray[Any], robot: Robot, x: ArrayLike, y: ArrayLike) -> NDArray[Any]:
         """Return traction [J/m] on the kinds of ground at its places, by their defaults.
 
-        `traction_per_m`: on the robot's own ground; `x`, `y` broadcast to its shape.
+        Parameters
+        ----------
+        traction_per_m : ndarray
+            As a model says it [J/m].
+        robot : Robot
+            Its weight and its own rolling resistance count.
+        x, y : array_like
+            World points [m].
+
+        Returns
+        -------
+        ndarray
+            Traction [J/m].
         """
         if not self.of(KINDS):
             return traction_per_m
@@ -169,7 +247,24 @@ class Layers:
     def std_of_kinds(
         self, traction_per_m: NDArray[Any], robot: Robot, x: ArrayLike, y: ArrayLike, learned: frozenset[str]
     ) -> NDArray[Any]:
-        """Return the standard deviation of the defaults of kinds of ground, beside those that a model learned [J/m]."""
+        """Return the standard deviation of the defaults of kinds of ground, beside those that a model learned [J/m].
+
+        Parameters
+        ----------
+        traction_per_m : ndarray
+            As a model says it [J/m].
+        robot : Robot
+            Its weight and its own rolling resistance count.
+        x, y : array_like
+            World points [m].
+        learned : frozenset of str
+            Kinds whose cost a model learned.
+
+        Returns
+        -------
+        ndarray
+            [J/m].
+        """
         own = [0.0 if kind.name in learned else kind.std for kind in self.kinds]
         both = list(zip(self.kinds, own, strict=True))
         share = [0.0 if kind.factor is None else std / max(kind.factor, 1e-3) for kind, std in both]
@@ -181,6 +276,20 @@ class Layers:
         """Return traction [J/m] with factors and costs, which come on top of whatever a model says.
 
         A factor multiplies what the drives need, and not what the ground gives.
+
+        Parameters
+        ----------
+        traction_per_m : ndarray
+            As a model says it [J/m].
+        x, y : array_like
+            World points [m].
+        heading_rad : array_like
+            Headings [rad].
+
+        Returns
+        -------
+        ndarray
+            Traction [J/m].
         """
         for layer in self.of(FACTOR):
             traction_per_m = _multiplied(traction_per_m, np.nan_to_num(layer.at(x, y), nan=1.0))
@@ -203,7 +312,18 @@ class Layers:
         return min((layer.frame.resolution_m for layer in self.closing if layer.frame is not None), default=math.inf)
 
     def closed_on(self, frame: GridFrame) -> NDArray[np.bool_]:
-        """Return which squares of a grid have a part of an obstacle, (rows, cols)."""
+        """Return which squares of a grid have a part of an obstacle, (rows, cols).
+
+        Parameters
+        ----------
+        frame : GridFrame
+            Cells of a map.
+
+        Returns
+        -------
+        ndarray of bool, (rows, cols)
+            True where an obstacle is.
+        """
         closed = np.zeros(frame.shape, dtype=np.bool_)
         for layer in self.closing:
             assert layer.frame is not None
@@ -215,7 +335,18 @@ class Layers:
         return closed
 
     def warnings(self, frame: GridFrame) -> list[str]:
-        """Return what a user should know of layers over a map: ground without a kind, kinds without a cost."""
+        """Return what a user should know of layers over a map: ground without a kind, kinds without a cost.
+
+        Parameters
+        ----------
+        frame : GridFrame
+            Cells of a map.
+
+        Returns
+        -------
+        list of str
+            Sentences; none where there is nothing to say.
+        """
         found = []
         for layer in self.each:
             place = layer.frame

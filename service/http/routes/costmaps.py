@@ -124,8 +124,9 @@ def _checked_layers(wanted: CostmapOptions, frame: GridFrame) -> dict[str, Any]:
     if not wanted.layers:
         return {}
     legend = {name: kind.model_dump(exclude_defaults=True) for name, kind in wanted.legend.items()}
-    check_polygons(wanted.layers, frame, legend)
-    return {"layers": wanted.layers, "legend": legend}
+    layers: dict[str, Any] = {**wanted.layers}
+    check_polygons(layers, frame, legend)
+    return {"layers": layers, "legend": legend}
 
 
 def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) -> CostmapRow:
