@@ -196,7 +196,7 @@ def costmap(
 def _to_send(layers: dict[str, list[str]] | None, legend: Path | None) -> dict[str, Any]:
     """Layers as a service takes them: polygons."""
     from joulemap.model.terrain.layers.kinds import read_legend
-    from joulemap.model.terrain.layers.reading import read_document
+    from joulemap.model.terrain.layers.polygons import read_document
 
     found = {}
     for role, files in (layers or {}).items():

@@ -15,7 +15,8 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.layers import Layer, Layers
 from joulemap.model.terrain.layers.kinds import Legend, legend_of, read_legend
 from joulemap.model.terrain.layers.layer import COST, KINDS
-from joulemap.model.terrain.layers.reading import areas_document, array_layer, layer_of, polygon_layer, read_layer
+from joulemap.model.terrain.layers.polygons import areas_document, polygon_layer
+from joulemap.model.terrain.layers.reading import array_layer, layer_of, read_layer
 from joulemap.service.library.data_array import says_where
 from joulemap.service.library.heightmaps import ground_of
 

@@ -21,7 +21,8 @@ from joulemap.model.runs.residuals import Residuals
 from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.layers.kinds import Kind
-from joulemap.model.terrain.layers.layer import Layer, Layers
+from joulemap.model.terrain.layers.layer import Layer
+from joulemap.model.terrain.layers.stack import Layers
 from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on
 
 SEED = 1

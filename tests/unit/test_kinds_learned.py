@@ -18,7 +18,8 @@ from joulemap.model.loop.terms import Term, turning_per_rad
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.layers.kinds import Kind
-from joulemap.model.terrain.layers.layer import Layer, Layers
+from joulemap.model.terrain.layers.layer import Layer
+from joulemap.model.terrain.layers.stack import Layers
 from joulemap.service.models import planning_robot
 from tests.reference.drives import even
 

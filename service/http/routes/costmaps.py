@@ -13,7 +13,7 @@ from starlette.exceptions import HTTPException
 from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
-from joulemap.model.terrain.layers.reading import check_polygons
+from joulemap.model.terrain.layers.polygons import check_polygons
 from joulemap.service.cost_lattices import check_lattice
 from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import costmap_body, problems
