@@ -124,7 +124,7 @@ def _checked_layers(wanted: CostmapOptions, frame: GridFrame) -> dict[str, Any]:
     if not wanted.layers:
         return {}
     legend = {name: kind.model_dump(exclude_defaults=True) for name, kind in wanted.legend.items()}
-    layers: dict[str, Any] = {**wanted.layers}
+    layers: dict[str, Any] = {str(role): polygons for role, polygons in wanted.layers.items()}
     check_polygons(layers, frame, legend)
     return {"layers": layers, "legend": legend}
 
