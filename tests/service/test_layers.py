@@ -110,6 +110,7 @@ def test_over_http(client, files):
         ({"kinds": WALL}, "does not say its kinds"),
         ({"obstacles": {"type": "FeatureCollection"}}, "no GeoJSON"),
         ({"factor": collection(polygon(0, 0, 9, 9, factor=-1))}, "below 0"),
+        ({"obstacles": collection(polygon(50, 50, 60, 60))}, "lies on the heightmap"),
     ],
 )
 def test_what_is_no_layer_is_refused_at_once(client, files, layers, said):

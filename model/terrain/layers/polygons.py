@@ -47,6 +47,8 @@ def polygon_layer(
         shapes.append((geometry, _meant(role, properties, source)))
     if not shapes:
         raise InputError(f"{source} holds no polygons")
+    if not any(_meets(geometry, ground) for geometry, _ in shapes):
+        raise InputError(f"no polygon of {source} lies on the heightmap: are they in its CRS, {ground.crs_in_words}?")
     transform = Affine(ground.resolution_m, 0.0, ground.west_m, 0.0, -ground.resolution_m, ground.north_m)
     kinds: tuple[Any, ...] = ()
     usual: float = math.nan
@@ -65,6 +67,13 @@ def polygon_layer(
         inside = ~np.isnan(drawn)
         return Layer(role, source, ground, inside if role == OBSTACLES else ~inside)
     return Layer(role, source, ground, drawn.astype(np.float32))
+
+
+def _meets(geometry: Mapping[str, Any], ground: GridFrame) -> bool:
+    corners = np.array(list(_corners(geometry["coordinates"])))
+    west, south, east, north = ground.bounds
+    (low_x, low_y), (high_x, high_y) = corners.min(axis=0), corners.max(axis=0)
+    return bool(low_x < east and high_x > west and low_y < north and high_y > south)
 
 
 def check_polygons(sent: Mapping[str, Mapping[str, Any]], ground: GridFrame, legend: Mapping[str, Any]) -> None:
