@@ -416,6 +416,21 @@ class RoutePlanner:
         cells = np.argwhere(there & free_places(lattice)).astype(np.float64)
         return cells[np.argmin(np.hypot(*(cells - goal).T))] if len(cells) else None
 
+    def keeps_energies_towards(self, goal_xy: tuple[float, float]) -> bool:
+        """Return whether `energies_towards` answers without a search.
+
+        Parameters
+        ----------
+        goal_xy : tuple of float
+            World x, y [m].
+
+        Returns
+        -------
+        bool
+            Whether the energies are kept.
+        """
+        return (float(goal_xy[0]), float(goal_xy[1])) in self._towards
+
     def energies_towards(self, goal_xy: tuple[float, float], *, name: str = "goal") -> NDArray[np.float32]:
         """Return the least energy from every cell to one place, over grid moves.
 

@@ -356,6 +356,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--stalled", type=int, default=0, help="instead: connections that ask and never read")
     parser.add_argument("--streams", type=int, default=0, help="instead: connections that follow a job")
+    parser.add_argument("--hog", type=int, default=0, help="instead: small questions beside so many of another key")
     parser.add_argument("--addresses", type=int, default=1, help="from so many addresses of the loopback network")
     parser.add_argument("--rate", type=float, default=400.0, help="of which at most so many are opened in a second")
     parser.add_argument(
@@ -368,9 +369,10 @@ def main() -> None:
         folder = options.data_dir or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         settings = dict(pair.split("=", 1) for pair in options.settings)
-        if options.stalled or options.streams:
-            from tests.crowd import measure  # which imports this module
+        if options.stalled or options.streams or options.hog:
+            from tests import crowd, hog  # which import this module
 
+            measure = hog.measure if options.hog else crowd.measure
             found = measure(folder, options, settings)
             if options.json:
                 options.json.write_text(json.dumps(found, indent=1))

@@ -21,8 +21,6 @@ CONNECT_S = 10.0
 """Longest time until a scheduler answers [s]."""
 _BLOCK_BYTES = 1 << 20
 """From this size on a block of a worker is mapped and given back; Dask's own setting maps blocks of 128 kB already."""
-NICE = 10
-"""Of the workers that a service starts, so that questions are answered while cost maps are made."""
 _CONFIG = {
     "distributed.scheduler.allowed-failures": 10,  # a task may lose its worker so often, through no fault of its own
     "distributed.scheduler.http.routes": [],  # no page, and nothing that tells about the work

@@ -56,7 +56,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         threading.Thread(target=app.openapi, name="openapi", daemon=True).start()  # seconds, which the page would wait
         await anyio.to_thread.run_sync(warn_if_open, service.store, settings.host)
         try:
-            async with on_the_loop(service.metrics, [service.plans, service.prices]), service.retention.running():
+            async with on_the_loop(service.metrics, service.queues), service.retention.running():
                 yield
         finally:
             await anyio.to_thread.run_sync(service.stop)

@@ -53,8 +53,12 @@ class OpenMaps:
 
         Result: False too for one that is planned on from disk.
         """
+        return self.opened(costmap_id) is not None
+
+    def opened(self, costmap_id: str) -> RoutePlanner | None:
+        """Return the planner of a cost map that is in memory, without loading it."""
         entry = self._entries.get(costmap_id)
-        return entry is not None and entry.planner is not None
+        return None if entry is None else entry.planner
 
     def planner(self, costmap_id: str) -> RoutePlanner:
         """Return the planner of a cost map, which other threads may use at the same time."""

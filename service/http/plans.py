@@ -6,6 +6,7 @@ import os
 
 from joulemap.service.http.open_maps import OpenMaps
 from joulemap.service.http.work_queue import Observe, WorkQueue
+from joulemap.service.priority import LONG_NICE
 from joulemap.service.settings import Settings
 
 PLANS, PRICES = "plans", "prices"
@@ -26,6 +27,7 @@ def plan_queue(settings: Settings, maps: OpenMaps, observe: Observe) -> WorkQueu
         per_group=settings.plan_queue_size,
         overall=4 * settings.plan_queue_size,
         share_cores=cores(),
+        nice=LONG_NICE,
         one_at_a_time=lambda costmap_id: not maps.is_open(costmap_id),
         observe=observe,
     )

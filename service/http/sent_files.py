@@ -34,7 +34,13 @@ class SentFiles:
         most = self.settings.max_cells
         try:
             stats = await self.readers.read(
-                "heightmap", path=str(path), out=str(made), name=name, max_cells=most, options=options
+                "heightmap",
+                owner=self.store.owner,
+                path=str(path),
+                out=str(made),
+                name=name,
+                max_cells=most,
+                options=options,
             )
 
             def _keep() -> HeightmapRow:
@@ -65,8 +71,9 @@ class SentFiles:
         ground = None
         if heightmap_id is not None:
             ground = (await anyio.to_thread.run_sync(self.store.heightmap, heightmap_id)).stats
-        asked = {
+        asked: dict[str, Any] = {
             "limits_of_run": asdict(_run_limits(self.settings)),
+            "owner": self.store.owner,
             "crs": ground["crs"] if ground is not None else None,
             "reading": reading.as_dict(),
         }

@@ -56,16 +56,15 @@ class Service(SentFiles, Made):
             memory_bytes=int(1e9 * settings.route_memory_gb),
         )
         self.metrics, self.health = Metrics(), Health()
-        self.plans = plan_queue(settings, self.maps, self.metrics.saw_work)
-        self.prices = price_queue(settings, self.maps, self.metrics.saw_work)
+        self.queues = [make(settings, self.maps, self.metrics.saw_work) for make in (plan_queue, price_queue)]
+        self.plans, self.prices = (queue.of(None) for queue in self.queues)
         self.job_events = JobEvents(look_into(self.store))
         self.drive_events = JobEvents(look_at_drives(self.store))
         self.drives = Drives(self.maps)
         self.connections = Connections(settings.max_connections, stalled_s=settings.stalled_s, on_stop=self._end_events)
         self.answered = AtOnce("connections", settings.most_client_connections, "JOULEMAP_CLIENT_CONNECTIONS")
         self.streams = AtOnce("event streams", settings.most_client_streams, "JOULEMAP_CLIENT_STREAMS")
-        queues = [self.plans, self.prices]
-        watch(settings, self.store, health=self.health, metrics=self.metrics, maps=self.maps, queues=queues)
+        watch(settings, self.store, health=self.health, metrics=self.metrics, maps=self.maps, queues=self.queues)
         self.jobs = Jobs(self.store, settings, on_made=self._open_made)
         self.health.add("workers", self._check_workers)
         if settings.store is not None:
@@ -95,6 +94,7 @@ class Service(SentFiles, Made):
         """
         seen = copy.copy(self)
         seen.store = self.store.seen_by(caller)
+        seen.plans, seen.prices = (queue.of(caller.name) for queue in self.queues)
         return seen
 
     def find_predictor(self, model: str) -> Predictor:

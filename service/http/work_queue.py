@@ -1,15 +1,12 @@
-"""Work on threads for requests: bounded, fair between cost maps, and ended when nobody waits for it any more."""
+"""Work on threads for requests: bounded, fair between owners and cost maps, ended when nobody waits for it any more."""
 
 from __future__ import annotations
 
 import asyncio
 import contextvars
-import math
-import time
-from collections import OrderedDict, deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
@@ -17,32 +14,20 @@ import numba
 
 from joulemap.model.errors import BusyError
 from joulemap.planner.grid.stopping import Flag, new_flag, stoppable
+from joulemap.service.fair_slots import FairSlots, Owner, Slot
+from joulemap.service.priority import be_nice
 
 Result = TypeVar("Result")
 Observe = Callable[[str, float, float], None]
 """Is told the name of the queue, and how long a piece of work waited and took [s]."""
 
-_RECENT = 0.1
-"""Weight of the latest piece of work in the mean time of one, from which Retry-After is estimated."""
-
-
-@dataclass(eq=False)
-class _Work:
-    """A piece of work of one request."""
-
-    group: str
-    do: Callable[[], Any]
-    answer: asyncio.Future[Any]
-    context: contextvars.Context
-    stop: Flag = field(default_factory=new_flag)
-    asked: float = field(default_factory=time.monotonic)
-
 
 class WorkQueue:
-    """Threads that work for requests, in turn for each group (cost map) that has work.
+    """Threads that work for requests, in turn for each owner, and of an owner for each group (cost map) that has work.
 
     All its methods are called on one event loop, so it needs no lock. Work runs under a flag of `planner.stopping`:
     searches look at it, and it is set when the caller is cancelled. Work that waits then is never begun.
+    As many threads again are for owners that have no work on a thread, see `FairSlots`.
     """
 
     def __init__(
@@ -53,116 +38,99 @@ class WorkQueue:
         per_group: int,
         overall: int,
         share_cores: int = 1,
+        nice: int = 0,
         one_at_a_time: Callable[[str], bool] = lambda _group: False,
         observe: Observe = lambda _name, _waited_s, _took_s: None,
     ) -> None:
         self.name, self.threads = name, threads
-        self._per_group, self._overall = per_group, overall
         self._cores = min(share_cores, numba.get_num_threads())
-        self._one_at_a_time, self._observe = one_at_a_time, observe
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix=name)
-        self._waiting: OrderedDict[str, deque[_Work]] = OrderedDict()  # the group whose turn it is comes first
-        self._running: dict[_Work, None] = {}
-        self._mean_s = 1.0
+        self._observe = observe
+        self._slots = FairSlots(
+            name, slots=threads, extra=threads, overall=overall, per_group=per_group, one_at_a_time=one_at_a_time
+        )
+        self._pool = ThreadPoolExecutor(2 * threads, name, initializer=be_nice, initargs=(nice,))
+        self._flags: dict[Slot, Flag] = {}
         self._stopped = False
-        self.refused = self.given_up = 0
+        self.given_up = 0
 
     @property
     def waiting(self) -> int:
         """Pieces of work that wait."""
-        return sum(len(queue) for queue in self._waiting.values())
+        return self._slots.waiting
 
     @property
     def running(self) -> int:
         """Pieces of work that a thread does."""
-        return len(self._running)
+        return len(self._slots.taken)
 
-    async def do(self, group: str, work: Callable[[], Result]) -> Result:
+    @property
+    def refused(self) -> int:
+        """Pieces of work for which there was no room."""
+        return self._slots.refused
+
+    def of(self, owner: Owner) -> OwnWork:
+        """Return the queue as one owner has it."""
+        return OwnWork(self, owner)
+
+    async def do(self, group: str, work: Callable[[], Result], owner: Owner = None) -> Result:
         """Return the result of some work; if the caller is cancelled, the work ends or is never begun."""
-        self._check_room(group)
-        made = _Work(group, work, asyncio.get_running_loop().create_future(), contextvars.copy_context())
-        self._waiting.setdefault(group, deque()).append(made)
-        self._begin()
+        if self._stopped:
+            raise _stopping()
         try:
-            answer: Result = await made.answer
+            slot = await self._slots.take(owner, group)
         except asyncio.CancelledError:
             self.given_up += 1
-            made.stop[0] = 1
-            if made not in self._running:
-                self._take_out(made)
             raise
-        return answer
+        if self._stopped:
+            self._slots.give_back(slot)
+            raise _stopping()
+        flag = self._flags[slot] = new_flag()
+        inner = max(1, self._cores // self.running)
+        run = contextvars.copy_context().run
+        future = asyncio.get_running_loop().run_in_executor(self._pool, run, _done, flag, work, inner)
+        future.add_done_callback(partial(self._end, slot))
+        try:
+            return await asyncio.shield(future)
+        except asyncio.CancelledError:
+            self.given_up += 1
+            flag[0] = 1
+            raise
+        except Exception:
+            if flag[0]:
+                raise _stopping() from None
+            raise
 
     def stop(self) -> None:
         """End all work; what waits gets a BusyError."""
         self._stopped = True
-        for made in [work for queue in self._waiting.values() for work in queue]:
-            self._take_out(made)
-            if not made.answer.done():
-                made.answer.set_exception(_stopping())
-        for made in self._running:
-            made.stop[0] = 1
+        self._slots.refuse_all(_stopping)
+        for flag in self._flags.values():
+            flag[0] = 1
         self._pool.shutdown(wait=False)
 
-    def _check_room(self, group: str) -> None:
-        if self._stopped:
-            raise _stopping()
-        here, all_ = len(self._waiting.get(group, ())), self.waiting
-        if here < self._per_group and all_ < self._overall:
-            return
-        self.refused += 1
-        where, count, limit = (
-            ("this cost map", here, self._per_group) if here >= self._per_group else ("all", all_, self._overall)
-        )
-        raise BusyError(
-            f"the queue is full: {self.name} of {where} that wait: {count}, limit: {limit}",
-            waiting=count,
-            limit=limit,
-            retry_after_s=max(1, math.ceil(all_ * self._mean_s / self.threads)),
-        )
-
-    def _take_out(self, made: _Work) -> None:
-        queue = self._waiting[made.group]
-        queue.remove(made)
-        if not queue:
-            del self._waiting[made.group]
-
-    def _begin(self) -> None:
-        """Begin what may begin, one of each group in turn."""
-        while len(self._running) < self.threads and not self._stopped:
-            busy = {made.group for made in self._running}
-            group = next((g for g in self._waiting if g not in busy or not self._one_at_a_time(g)), None)
-            if group is None:
-                return
-            made = self._waiting[group][0]
-            self._take_out(made)
-            if group in self._waiting:
-                self._waiting.move_to_end(group)
-            self._running[made] = None
-            waited_s = time.monotonic() - made.asked
-            inner = max(1, self._cores // len(self._running))
-            done = asyncio.get_running_loop().run_in_executor(self._pool, made.context.run, _done, made, inner)
-            done.add_done_callback(partial(self._end, made, waited_s))
-
-    def _end(self, made: _Work, waited_s: float, future: asyncio.Future[Any]) -> None:
-        took_s = time.monotonic() - made.asked - waited_s
-        del self._running[made]
-        self._mean_s += _RECENT * (took_s - self._mean_s)
-        self._observe(self.name, waited_s, took_s)
-        error = future.exception()
-        if not made.answer.done():
-            if error is not None:
-                made.answer.set_exception(_stopping() if made.stop[0] else error)
-            else:
-                made.answer.set_result(future.result())
-        self._begin()
+    def _end(self, slot: Slot, future: asyncio.Future[Any]) -> None:
+        future.exception()  # where nobody waits for it any more
+        del self._flags[slot]
+        self._observe(self.name, slot.waited_s, self._slots.give_back(slot))
 
 
-def _done(made: _Work, inner_threads: int) -> Any:
+@dataclass(frozen=True)
+class OwnWork:
+    """A queue as one owner has it."""
+
+    queue: WorkQueue
+    owner: Owner
+
+    async def do(self, group: str, work: Callable[[], Result]) -> Result:
+        """Return the result of some work, in the owner's turn."""
+        return await self.queue.do(group, work, self.owner)
+
+
+def _done(flag: Flag, work: Callable[[], Result], inner_threads: int) -> Result:
     """Do a piece of work on this thread."""
     numba.set_num_threads(inner_threads)  # of this thread only
-    with stoppable(made.stop):
-        return made.do()
+    with stoppable(flag):
+        return work()
 
 
 def _stopping() -> BusyError:

@@ -25,6 +25,7 @@ from typing import Any
 import anyio
 
 from joulemap.model.errors import BusyError, TooLargeError, error_of
+from joulemap.service.fair_slots import FairSlots, Owner
 from joulemap.service.intake.limits import ReadLimits
 
 _RETRY_S = 5.0
@@ -43,13 +44,11 @@ class Readers:
     def __init__(
         self, *, processes: int, queue: int, limits: ReadLimits, scratch: Callable[[], Path | None] = lambda: None
     ) -> None:
-        self._queue = queue
         self._limits, self._scratch = limits, scratch
-        self._limiter = anyio.CapacityLimiter(processes)
+        self._slots = FairSlots("sent files", slots=processes, overall=queue)
         self._template: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
         self._starting = threading.Lock()
-        self.refused = 0
 
     def start(self) -> None:
         """Begin to load the template, so that the first file does not wait for it."""
@@ -87,27 +86,27 @@ class Readers:
     @property
     def waiting(self) -> int:
         """Number of files that wait."""
-        return self._limiter.statistics().tasks_waiting
+        return self._slots.waiting
 
     @property
     def running(self) -> int:
         """Number of files that are read now."""
-        return self._limiter.statistics().borrowed_tokens
+        return len(self._slots.taken)
 
-    async def read(self, task: str, **arguments: Any) -> dict[str, Any]:
-        """Read one file; if the caller is cancelled, the process that reads it is killed."""
-        if self.waiting >= self._queue:
-            self.refused += 1
-            raise BusyError(
-                f"{self._queue} sent files wait to be read already: send it again later",
-                waiting=self._queue,
-                limit=self._queue,
-                retry_after_s=_RETRY_S,
-            )
-        async with self._limiter:
+    @property
+    def refused(self) -> int:
+        """Number of files that found no room to wait."""
+        return self._slots.refused
+
+    async def read(self, task: str, *, owner: Owner = None, **arguments: Any) -> dict[str, Any]:
+        """Read one file in its owner's turn; if the caller is cancelled, the process that reads it is killed."""
+        slot = await self._slots.take(owner)
+        try:
             with tempfile.TemporaryDirectory(prefix="joulemap-", dir=self._scratch()) as scratch:
                 given = json.dumps({**arguments, "limits": asdict(self._limits), "scratch": scratch})
                 answer = await self._answer(json.dumps({"task": task, "arguments": given}).encode())
+        finally:
+            self._slots.give_back(slot)
         if answer == _BEGUN:
             raise self._ended(str(arguments.get("name", "the file")))
         try:

@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from joulemap.service.intake.guard import prepared, read
+from joulemap.service.priority import LONG_NICE, be_nice
 
 BEGUN = b"\n"
 """What a process sends first. An answer without it means that no process was there to read."""
@@ -31,6 +32,7 @@ def main(control: socket.socket) -> None:
     """Read files until the other end of a socket is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the service, which lets files in hand be read
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the forks
+    be_nice(LONG_NICE)
     for task in ("heightmap", "run"):
         prepared(task)
     gc.collect()

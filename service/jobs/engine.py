@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy.exc import OperationalError
@@ -21,6 +21,8 @@ from sqlalchemy.exc import OperationalError
 from joulemap.model.errors import InputError
 from joulemap.service.cluster.attendance import Attendance
 from joulemap.service.jobs import calibrations, costmaps
+from joulemap.service.jobs.turns import turns_of
+from joulemap.service.priority import JOB_NICE
 from joulemap.service.problems import problem_of
 from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
@@ -73,14 +75,14 @@ class Jobs:
 
     async def _live(self) -> None:
         """Keep a cluster until the service stops; one that is lost is asked again."""
-        from joulemap.service.cluster.connection import NICE, connected  # which takes half a second to load
+        from joulemap.service.cluster.connection import connected  # which takes half a second to load
         from joulemap.service.work.warm import Warm
 
         self._loop, settings = asyncio.get_running_loop(), self._settings
         while not self._stopping:
             try:
                 async with connected(settings.scheduler, workers=settings.workers) as client:
-                    nice = 0 if settings.scheduler else NICE
+                    nice = 0 if settings.scheduler else JOB_NICE
                     warm = Warm(settings.warm_models, settings.resolved_models_dir.resolve(), nice=nice)
                     await client.register_plugin(warm)
                     await self._serve(client)
@@ -108,7 +110,7 @@ class Jobs:
         watching = asyncio.create_task(self._watch(client))
         making: dict[str, asyncio.Task[None]] = {}
         claims = self._store.claims()
-        slots = asyncio.Semaphore(self._settings.calibrations_at_once)
+        turns: dict[str, int] = {}
         try:
             while not self._stopping:
                 if client.status != "running":
@@ -124,8 +126,11 @@ class Jobs:
                     for job_id in [job_id for job_id, task in making.items() if task.done() or job_id not in ours]:
                         making[job_id].cancel()
                         await asyncio.wait([making.pop(job_id)])
-                    for job_id in ours - making.keys():
-                        making[job_id] = asyncio.create_task(self._make(client, job_id, -wanted[job_id], slots))
+                    turns = turns_of(wanted, turns)
+                    for job_id in sorted(ours - making.keys(), key=lambda job_id: turns[job_id]):
+                        calibrations_now = sum(kind_of(other) == CALIBRATION for other in making)
+                        if kind_of(job_id) != CALIBRATION or calibrations_now < self._settings.calibrations_at_once:
+                            making[job_id] = asyncio.create_task(self._make(client, job_id, -turns[job_id]))
                 await self._pause()
         finally:
             for task in (watching, *making.values()):
@@ -140,12 +145,12 @@ class Jobs:
                 await asyncio.wait_for(self._wake.wait(), _LOOK_S)
         self._wake.clear()
 
-    async def _make(self, client: Client, job_id: str, priority: float, slots: asyncio.Semaphore) -> None:
+    async def _make(self, client: Client, job_id: str, priority: float) -> None:
         """Make one job, and note how it ended; what may end otherwise later is left for the next look."""
         try:
-            async with slots if kind_of(job_id) == CALIBRATION else nullcontext():
-                summary = await self._made(client, job_id, priority)
+            summary = await self._made(client, job_id, priority)
             await asyncio.to_thread(self._finish, job_id, summary)
+            self._wake.set()  # the next calibration may begin
         except Exception as error:
             await asyncio.to_thread(self._failed, job_id, error, lost=client.status != "running")
 

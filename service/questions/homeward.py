@@ -12,6 +12,7 @@ from joulemap.service.questions.parts import BatteryIn, OnMap, battery_of, on_ma
 from joulemap.service.schemas.base import GivenPath, Place
 
 if TYPE_CHECKING:  # they take their time to load
+    from joulemap.planner.route_planner import RoutePlanner
     from joulemap.service.homeward import Homeward
     from joulemap.service.questions.parts import AnyPlanner
     from joulemap.service.schemas.homeward import ReturnOut
@@ -63,6 +64,15 @@ def ask(planner: AnyPlanner, wanted: ReturnRequest) -> Homeward:
         confidence=wanted.confidence,
     )
     return replace(found, notes=tuple(places.notes))
+
+
+def is_quick(planner: RoutePlanner, wanted: ReturnRequest) -> bool:
+    """Whether the energies towards home and the places to charge are kept, so that no search is needed."""
+    from joulemap.service.places import Places
+
+    places = Places(planner.lattice.frame)
+    ends = [places(place, "place") for place in (wanted.home, *wanted.charging)]
+    return not wanted.avoid and all(map(planner.keeps_energies_towards, ends))
 
 
 def answer(found: Homeward, warnings: list[str]) -> ReturnOut:

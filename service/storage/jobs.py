@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import datetime as dt
 import secrets
 import shutil
 from pathlib import Path
@@ -47,14 +46,14 @@ class KeptJobs(Kept):
             query = select(table.id).where(table.status.in_([QUEUED, RUNNING]))
             return list(session.scalars(query.order_by(table.created_at)))
 
-    def wanted(self) -> dict[str, float]:
-        """Return all jobs that wait or run. When each was asked for [s since 1970], by its id."""
-        found: dict[str, float] = {}
+    def wanted(self) -> dict[str, str | None]:
+        """Return all jobs that wait or run, oldest first. Result: the owner of each, by its id."""
+        found: list[Any] = []
         with self._sessions() as session:
             for table in JOBS.values():
-                query = select(table.id, table.created_at).where(table.status.in_([QUEUED, RUNNING]))
-                found |= {job_id: at.replace(tzinfo=dt.UTC).timestamp() for job_id, at in session.execute(query)}
-        return found
+                query = select(table.created_at, table.id, table.owner).where(table.status.in_([QUEUED, RUNNING]))
+                found += session.execute(query)
+        return {job_id: owner for _, job_id, owner in sorted(found, key=lambda row: row[:2])}
 
     def begin(self, costmap_id: str) -> None:
         """Make the folder of notes, or its record in an object store, without which nothing is written of a cost map.

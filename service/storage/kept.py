@@ -144,6 +144,11 @@ class Kept:
             kept = session.scalar(select(table.sums).where(table.id == row_id))
         yield from changed(place, kept or {})
 
+    @property
+    def owner(self) -> str | None:
+        """Name of the caller's key; None where it has none."""
+        return self._caller.name
+
     def may_see(self, row: Any) -> bool:
         """Return whether a row is there for the caller."""
         return self._caller.may_see(row)

@@ -15,6 +15,7 @@ from joulemap.planner.grid.stopping import Stopped, check_stop, new_flag, stop_f
 from joulemap.planner.pricing.moves import move_table
 from joulemap.service.http.long_questions import events, while_connected
 from joulemap.service.http.work_queue import WorkQueue
+from joulemap.service.jobs.turns import turns_of
 from tests.reference.lattices import random_lattice
 
 GENEROUS_S = 30.0
@@ -197,3 +198,52 @@ def test_a_closed_connection_ends_the_work():
         assert queue.given_up == 2
 
     asyncio.run(ask())
+
+
+def test_owners_take_turns_and_one_without_work_waits_for_nobody():
+    """A key with many questions takes the threads; the first one of another key begins at once, beside them."""
+
+    async def ask():
+        queue, order, go = a_queue(threads=1, overall=99), [], threading.Event()
+        many = [asyncio.create_task(queue.do(group, lambda: go.wait(GENEROUS_S), "hog")) for group in "aaabbbccc"]
+        await _until(lambda: queue.running == 1 and queue.waiting == 8)
+        assert await asyncio.wait_for(queue.do("x", lambda: "at once", "other"), GENEROUS_S) == "at once"
+        for owner in ("hog", "hog", "other", "third", "other"):
+            many.append(asyncio.create_task(queue.do("y", lambda owner=owner: order.append(owner), owner)))
+        await _until(lambda: order == ["other", "third", "other"])  # and none of the owner that has the thread
+        go.set()
+        await asyncio.gather(*many)
+        assert order[3:] == ["hog", "hog"]
+
+    asyncio.run(ask())
+
+
+def test_a_full_queue_has_room_for_an_owner_with_less_than_its_share():
+    async def ask():
+        queue, go = a_queue(per_group=9, overall=4), threading.Event()
+        running = [asyncio.create_task(queue.do("x", lambda: go.wait(GENEROUS_S), owner)) for owner in ("hog", "b")]
+        await _until(lambda: queue.running == 2)
+        hog = [asyncio.create_task(queue.do("x", lambda: "hog", "hog")) for _ in range(4)]
+        await _until(lambda: queue.waiting == 4)
+        with pytest.raises(BusyError, match="of all"):
+            await queue.do("x", lambda: 1, "hog")
+        others = [asyncio.create_task(queue.do("y", lambda: "other", owner)) for owner in ("b", "b", "c")]
+        await asyncio.wait(hog[1:])  # its newest make room
+        assert not hog[0].done()
+        assert all(isinstance(task.exception(), BusyError) for task in hog[1:])
+        with pytest.raises(BusyError, match="of all"):
+            await queue.do("y", lambda: 1, "b")
+        go.set()
+        assert await asyncio.gather(*running, hog[0], *others) == [True, True, "hog", *["other"] * 3]
+        assert queue.refused == 5
+
+    asyncio.run(ask())
+
+
+def test_jobs_of_an_owner_follow_one_another_beside_those_of_others():
+    turns = turns_of({f"a{k}": "a" for k in range(4)}, {})
+    assert list(turns.values()) == [0, 1, 2, 3]
+    wanted = {"a2": "a", "a3": "a", "b0": "b", "b1": "b", "a4": "a", "c0": None}
+    turns = turns_of(wanted, turns)
+    assert sorted(wanted, key=lambda job_id: turns[job_id]) == ["a2", "b0", "c0", "a3", "b1", "a4"]
+    assert turns_of({"a4": "a", "b2": "b"}, turns) == {"a4": 4, "b2": 4}  # who comes later overtakes nobody for ever

@@ -174,11 +174,13 @@ async def find_point_of_no_return(costmap_id: str, wanted: ReturnRequest, servic
     Made for a robot that asks every second with its place, the rest of its path and its measured charge. The first
     question about a home takes as long as an energy field; the energies are kept, and the next ones take milliseconds.
     """
+    opened = service.maps.opened(costmap_id)
+    quick = opened is not None and homeward.is_quick(opened, wanted)
 
     def _find() -> Response:
         return _answered(homeward, service, costmap_id, wanted, _whole(service))
 
-    return await while_connected(request, service.prices.do(costmap_id, _find))
+    return await while_connected(request, (service.prices if quick else service.plans).do(costmap_id, _find))
 
 
 @router.post("/speeds", response_model=SpeedsOut, responses=problems(404, 409, 503))
