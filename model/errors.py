@@ -18,7 +18,7 @@
     ├── ForbiddenError               a foreign web page, or not what this key may do 403
     ├── RateError                    more requests or jobs at once than a key may  429
     ├── StorageFullError             no room: the disk's, or what a key may keep   507
-    ├── DamagedError                 what was kept is lost or not what was written 500
+    ├── DamagedError                 what was kept is lost or not what was written 503
     └── BusyError                    come back later                               503
 
 `service/problems.py` alone maps the tree to HTTP statuses and exit codes. Anything else that escapes is our bug.

@@ -67,7 +67,7 @@ TABLE: dict[type[JoulemapError], Row] = {
     ForbiddenError: Row(403, 10, "Not allowed"),
     RateError: Row(429, 11, "Too many at once"),
     StorageFullError: Row(507, 12, "No room to keep more"),
-    DamagedError: Row(500, 13, "What was kept is damaged"),
+    DamagedError: Row(503, 13, "What was kept is damaged"),
 }
 """By branch of the tree; a leaf is answered as its nearest branch. Exit code 2 means wrong usage of a command."""
 

@@ -6,6 +6,7 @@ import datetime as dt
 import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,7 @@ from joulemap.model.errors import JoulemapError
 from joulemap.model.terrain.readers import read_sent
 from joulemap.planner.lattice.checked_store import CheckedStore
 from joulemap.planner.lattice.io import open_group
+from joulemap.service.storage.object_access import LOST
 from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.stats import heightmap_stats
@@ -161,12 +163,15 @@ class Check:
         )
 
     def _files(self, table: Any, row: Any) -> Iterator[Finding]:
-        place = self._place(table, row.id)
+        place = self._path(table, row.id)
         wrong, remedy = None, None
         repair: Callable[[], object] | None = None
         try:
+            self._store.here(place)
             size = self._verify(table, row, place)
         except (JoulemapError, OSError, ValueError) as error:
+            if getattr(error, "errno", None) == LOST:  # the object store is away, which says nothing of what it keeps
+                raise
             wrong = f"{place.relative_to(self._dir)}: {_short(error)}"
         else:
             if self._store.vault.size(str(place.relative_to(self._dir)), place) == 0:
@@ -265,7 +270,9 @@ class Check:
             folder.mkdir(exist_ok=True)
             (folder / f"{row_id}.json").write_text(json.dumps(raw, default=str), encoding="utf-8")
             session.execute(delete(table).where(table.id == row_id))
-        place = self._place(table, row_id)
+        place = self._path(table, row_id)
+        with suppress(JoulemapError, OSError):  # an object that is damaged, or a store that is away
+            self._store.here(place)
         if place.exists():
             self._put_away(place, str(place.relative_to(self._dir)))
         if (self._models / row_id).is_dir():
@@ -278,15 +285,15 @@ class Check:
             place = place.with_name(f"{place.name}.{_now():%Y%m%dT%H%M%S%f}")
         shutil.move(path, place)
 
-    def _place(self, table: Any, row_id: str) -> Path:
-        """Where the files of a row are, once what is kept elsewhere is there."""
+    def _path(self, table: Any, row_id: str) -> Path:
+        """Where the files of a row are."""
         places = {
             HeightmapRow: self._store.heightmap_path,
             RunsRow: self._store.runs_folder,
             CostmapRow: self._store.lattice_path,
             CalibrationRow: self._store.calibration_folder,
         }
-        return self._store.here(places[table](row_id))
+        return places[table](row_id)
 
 
 _ASKED_AGAIN: dict[str, Any] = {

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-_LOST = errno.EHOSTUNREACH  # of an object store that does not answer: answered with 503, and jobs wait
+LOST = errno.EHOSTUNREACH  # of an object store that does not answer: answered with 503, and jobs wait
 _AT_ONCE = 8  # transfers
 SHOWN = "the object store"
 """What messages call it."""
@@ -43,7 +43,7 @@ def as_file_errors() -> Iterator[None]:
     except (NotFoundError, FileNotFoundError) as error:
         raise FileNotFoundError(errno.ENOENT, f"{SHOWN} has no such object: {first_line(error)}") from error
     except BaseError as error:
-        raise OSError(_LOST, f"{SHOWN} does not answer as it should: {first_line(error)}") from error
+        raise OSError(LOST, f"{SHOWN} does not answer as it should: {first_line(error)}") from error
 
 
 def first_line(error: BaseException) -> str:

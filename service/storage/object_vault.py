@@ -18,11 +18,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from joulemap.model.errors import InputError
+from joulemap.model.errors import DamagedError, InputError
 from joulemap.service.storage.object_access import SHOWN, as_file_errors, first_line, for_all, obstore_library
 
 _RECORDS = "records"
-_RETRIES, _RETRY_S = 3, 10.0  # of one request
+_RECORD_S, _CONTENT_S = 5.0, 20.0
+"""Longest time of one request for a record, and for a piece of a file; a connection that hangs is then given up."""
+_RETRIES = 2  # of one request, each over another connection where the one before hung
+PIECE_BYTES = 5 << 20  # the smallest piece that S3 takes
+_PIECES_AT_ONCE = 2  # of one file: 16 pieces within `_CONTENT_S` are 4 MB a second
+_TRANSFERS = 2  # of one file, before it is taken for damaged
 FETCHED = ".fetched.partial"
 """End of the name of a copy in the data folder that is on its way."""
 
@@ -53,14 +58,8 @@ class ObjectVault:
             words = f"the object store {url} needs obstore: pip install 'joulemap[objects]'"
             raise InputError(words, url=url) from None
         self.url = url
-        options: dict[str, Any] = {"timeout": "60s", "connect_timeout": "5s"}
-        if os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://"):
-            options["allow_http"] = True
-        retries = {"max_retries": _RETRIES, "retry_timeout": dt.timedelta(seconds=_RETRY_S)}
-        open_url: Any = store.from_url
-        how: dict[str, Any] = {"client_options": options, "retry_config": retries}
         try:
-            self._store: Any = open_url(url, **({"mkdir": True} if url.startswith("file:") else how))
+            self._records, self._store = (_opened(store.from_url, url, limit_s) for limit_s in (_RECORD_S, _CONTENT_S))
         except (BaseError, ValueError) as error:
             raise InputError(f"{url} is no object store that can be used: {first_line(error)}", url=url) from error
 
@@ -93,7 +92,9 @@ class ObjectVault:
 
         def _send(name: str) -> None:
             with as_file_errors(), (place / name).open("rb") as file:
-                obstore_library().put(self._store, _object(key, name), file)
+                obstore_library().put(
+                    self._store, _object(key, name), file, chunk_size=PIECE_BYTES, max_concurrency=_PIECES_AT_ONCE
+                )
 
         for_all(_send, names)
         return {name: _part(place / name) for name in names}
@@ -105,19 +106,25 @@ class ObjectVault:
             target = place / name if name else place
             target.parent.mkdir(parents=True, exist_ok=True)
             begun = target.with_name(f"{target.name}.{secrets.token_hex(4)}.partial")
-            digest = hashlib.sha256()
             try:
-                with as_file_errors(), begun.open("wb") as file:
-                    for chunk in obstore_library().get(self._store, _object(key, name)).stream():
-                        digest.update(chunk)
-                        file.write(chunk)
-                if Part(begun.stat().st_size, digest.hexdigest()) != parts[name]:
-                    raise OSError(errno.EIO, f"{SHOWN} has not what was kept as {_object(key, name)}")
-                begun.replace(target)
+                for _ in range(_TRANSFERS):
+                    self._copy(_object(key, name), begun)
+                    if _part(begun) == parts[name]:
+                        begun.replace(target)
+                        return
+                raise damaged(f"{SHOWN} has not what was kept as {_object(key, name)}", key)
             finally:
                 begun.unlink(missing_ok=True)
 
         for_all(_get, list(parts))
+
+    def _copy(self, name: str, target: Path) -> None:
+        """Copy an object piece by piece, so that the limit of a request is of a piece and not of the whole."""
+        with as_file_errors(), target.open("wb") as file:
+            size = obstore_library().head(self._store, name)["size"]
+            for start in range(0, size, PIECE_BYTES):
+                end = min(start + PIECE_BYTES, size)
+                file.write(obstore_library().get_range(self._store, name, start=start, end=end))
 
     def fetch(self, key: str, place: Path) -> None:
         """Have a copy in the data folder, whole or not at all."""
@@ -135,7 +142,7 @@ class ObjectVault:
                 return
             except FileNotFoundError as error:  # it is deleted at this moment, here or there; or a file of it is lost
                 if last:
-                    raise OSError(errno.EIO, f"{SHOWN} has lost a part of {key}: {error}") from error
+                    raise damaged(f"{SHOWN} has lost a part of {key}: {error.strerror}", key) from error
             finally:
                 shutil.rmtree(begun, ignore_errors=True)
                 if begun.is_file():
@@ -168,7 +175,7 @@ class ObjectVault:
 
     def _remove_record(self, key: str) -> None:
         with as_file_errors(), suppress(FileNotFoundError):
-            obstore_library().delete(self._store, f"{_RECORDS}/{key}.json")
+            obstore_library().delete(self._records, f"{_RECORDS}/{key}.json")
 
     def has(self, key: str) -> bool:
         """Return whether something is kept.
@@ -188,13 +195,13 @@ class ObjectVault:
     def write(self, name: str, content: bytes) -> None:
         """Write a small object."""
         with as_file_errors():
-            obstore_library().put(self._store, name, content)
+            obstore_library().put(self._records, name, content)
 
     def read(self, name: str) -> bytes | None:
         """Read a small object. Result: None where there is none."""
         try:
             with as_file_errors():
-                return bytes(obstore_library().get(self._store, name).bytes())
+                return bytes(obstore_library().get(self._records, name).bytes())
         except FileNotFoundError:
             return None
 
@@ -207,6 +214,25 @@ class ObjectVault:
     def check(self) -> None:
         """Raise OSError where the object store does not answer."""
         self.read(f"{_RECORDS}/none.json")
+
+
+def damaged(words: str, key: str) -> DamagedError:
+    """Return the error of something that the object store keeps no longer as it was sent, with what to do."""
+    return DamagedError(
+        f"{words}. `joulemap check --repair` makes cost maps and calibrations again; take others from a backup",
+        file=key,
+    )
+
+
+def _opened(open_url: Any, url: str, limit_s: float) -> Any:
+    """The object store of a URL, whose requests end after so many seconds."""
+    if url.startswith("file:"):
+        return open_url(url, mkdir=True)
+    options: dict[str, Any] = {"timeout": dt.timedelta(seconds=limit_s), "connect_timeout": "5s"}
+    if os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://"):
+        options["allow_http"] = True
+    retries = {"max_retries": _RETRIES, "retry_timeout": dt.timedelta(seconds=(_RETRIES + 1) * limit_s)}
+    return open_url(url, client_options=options, retry_config=retries)
 
 
 def _object(key: str, name: str) -> str:

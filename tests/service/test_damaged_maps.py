@@ -66,7 +66,7 @@ def test_the_service_says_what_is_damaged(copied: dict[str, Any], damage: str, f
     how = {"max_cells_in_memory": 100} if from_disk else {}
     with TestClient(create_app(settings_for(copied["folder"], **how)), raise_server_exceptions=False) as client:
         answer = client.post(f"/v1/costmaps/{copied['costmap']}/paths", json=ASKED)
-    assert (answer.status_code, answer.json()["code"]) == (500, "damaged"), answer.text
+    assert (answer.status_code, answer.json()["code"]) == (503, "damaged"), answer.text
     assert f"{copied['map'].name}/{file}" in answer.json()["detail"]
     assert "joulemap check --repair" in answer.json()["detail"]
 
@@ -77,7 +77,7 @@ def test_pictures_and_files_of_a_damaged_map_are_refused_too(copied: dict[str, A
     with TestClient(create_app(settings_for(copied["folder"])), raise_server_exceptions=False) as client:
         for what in (f"{base}/layer.png?layer=energy", f"{base}/data?format=npz", f"{base}/data?format=geotiff"):
             answer = client.get(what)
-            assert (answer.status_code, answer.json()["code"]) == (500, "damaged"), (what, answer.text)
+            assert (answer.status_code, answer.json()["code"]) == (503, "damaged"), (what, answer.text)
 
 
 @pytest.mark.parametrize("damaged", [False, True])
@@ -90,7 +90,7 @@ def test_a_map_of_the_version_before_is_compared_with_what_was_kept(copied: dict
     with TestClient(create_app(settings_for(copied["folder"])), raise_server_exceptions=False) as client:
         answer = client.post(f"/v1/costmaps/{copied['costmap']}/paths", json=ASKED)
     if damaged:
-        assert (answer.status_code, answer.json()["code"]) == (500, "damaged"), answer.text
+        assert (answer.status_code, answer.json()["code"]) == (503, "damaged"), answer.text
         assert "traction_per_m: its content is not what was kept" in answer.json()["detail"]
     else:
         assert answer.json()["energy_j"] == copied["energy_j"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import shutil
 import signal
@@ -18,15 +19,17 @@ import httpx
 import pytest
 from fastapi.testclient import TestClient
 
-from joulemap.model.errors import InputError
+from joulemap.model.errors import DamagedError, InputError
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
+from joulemap.service.storage import object_vault
 from joulemap.service.storage.object_vault import ObjectVault, Part
 from joulemap.service.storage.store import Store
 from tests.service.clusters import cluster, free_port
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.preload import disturbed
 from tests.service.test_calibrations import run_csv
+from tests.service.test_data_directory import joulemap
 from tests.service.test_restart import ask, status, wait_until
 from tests.service.test_workers import undisturbed
 from tests.service.workers import fingerprint, rolling
@@ -41,7 +44,8 @@ class Wire:
     """A port that passes everything on to another one, while it is not cut."""
 
     def __init__(self, port: int) -> None:
-        self._port, self.cut = port, False
+        self._port, self.cut, self.hang = port, False, 0
+        self._hung: list[asyncio.StreamWriter] = []
         self._loop = asyncio.new_event_loop()
         threading.Thread(target=self._loop.run_forever, daemon=True).start()
         server = asyncio.start_server(self._join, "127.0.0.1", 0)
@@ -50,6 +54,10 @@ class Wire:
 
     async def _join(self, near: asyncio.StreamReader, to_near: asyncio.StreamWriter) -> None:
         """Pass on what comes and goes; one connection that fails leaves the way open for the next."""
+        if self.hang > 0:  # this connection stays open, and nobody answers on it
+            self.hang -= 1
+            self._hung.append(to_near)
+            return
         try:
             if self.cut:
                 raise ConnectionError("the way is cut")
@@ -123,7 +131,7 @@ def test_what_is_kept_is_there_as_a_whole_or_not_at_all(tmp_path: Path, wire: Wi
     vault.fetch("maps/one.tif", tmp_path / "one.tif")
     assert (tmp_path / "copy.zarr/c/0").read_bytes() == (tmp_path / "one.tif").read_bytes() == b"x" * 1_000_000
     vault.write("maps/made.zarr/c/0", b"y" * 1_000_000)
-    with pytest.raises(OSError, match="has not what was kept"):
+    with pytest.raises(DamagedError, match=r"has not what was kept.* check --repair"):
         vault.fetch("maps/made.zarr", tmp_path / "damaged")
     assert not (tmp_path / "damaged").exists()
     for key in ("maps/made.zarr", "maps/one.tif", "maps/never"):
@@ -247,6 +255,58 @@ def test_an_object_store_that_is_away_is_told_and_waited_for(tmp_path: Path, wir
         wire.cut = False
         wait_until(lambda: status(client, place) == "done")
         wait_until(lambda: client.get("/readyz").status_code == 200)
+
+
+def test_a_connection_that_hangs_is_given_up_and_another_one_asked(
+    tmp_path: Path, wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(object_vault, "_RECORD_S", 1.0)
+    monkeypatch.setattr(object_vault, "_CONTENT_S", 1.0)
+    sent, copy, keep = tmp_path / "sent", tmp_path / "copy", "maps/hangs"
+    sent.write_bytes(os.urandom(object_vault.PIECE_BYTES + 1_000))  # in two pieces
+    wire.hang, began = 2, time.monotonic()  # of records, and of pieces
+    vault = ObjectVault("s3://maps/hang")
+    vault.put(keep, sent)
+    vault.fetch(keep, copy)
+    assert copy.read_bytes() == sent.read_bytes()
+    assert wire.hang == 0
+    wire.hang = 1_000
+    with pytest.raises(OSError, match="does not answer"):
+        ObjectVault("s3://maps/hang").read("records/none.json")
+    assert time.monotonic() - began < 20.0
+    wire.hang = 0
+
+
+def test_a_damaged_object_is_told_and_a_check_makes_the_map_again(
+    tmp_path: Path, hill_tif: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    objects = tmp_path / "objects"
+    settings = settings_for(tmp_path / "data", store=f"file://{objects}", workers=1)
+    question = {"start": START, "goal": GOAL}
+    with TestClient(create_app(settings)) as client:
+        place = client.post("/v1/costmaps", files={"file": hill_tif}, data={"options": json.dumps(MAP)}).headers[
+            "location"
+        ]
+        wait_until(lambda: status(client, place) == "done")
+        asked = client.post(f"{place}/paths", json=question).json()
+    name = place.rsplit("/", 1)[-1]
+    chunk = max((path for path in (objects / f"costmaps/{name}.zarr").rglob("*") if path.is_file()), key=_size)
+    chunk.write_bytes(bytes(_size(chunk)))
+    shutil.rmtree(tmp_path / f"data/costmaps/{name}.zarr")  # the copy of another service's machine
+    with TestClient(create_app(settings)) as client:
+        refused = client.post(f"{place}/paths", json=question)
+        assert (refused.status_code, refused.json()["code"]) == (503, "damaged"), refused.text
+        assert "check --repair" in refused.json()["detail"]
+    monkeypatch.setenv("JOULEMAP_STORE", f"file://{objects}")
+    code, repaired = joulemap("check", "--repair", "--data-dir", tmp_path / "data")
+    assert (code, [one["kind"] for one in repaired["findings"]]) == (0, ["missing"])
+    with TestClient(create_app(settings)) as client:
+        wait_until(lambda: status(client, place) == "done")
+        assert client.post(f"{place}/paths", json=question).json()["path"] == asked["path"]
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size
 
 
 @pytest.mark.parametrize("url", ["nowhere://maps", "s3://", "s3:///x"])
