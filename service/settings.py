@@ -113,7 +113,11 @@ class Settings(BaseSettings):
     plan_queue_size: int = Field(
         default=128, gt=0, description="most questions of one cost map that wait; of all cost maps four times as many"
     )
-    min_free_mb: float = Field(default=200.0, ge=0, description="free disk space below which /readyz fails [MB]")
+    min_free_mb: float = Field(
+        default=200.0,
+        ge=0,
+        description="disk space that stays free: /readyz fails and new work is refused below it [MB]",
+    )
     log_format: Literal["text", "json"] = Field(default="text", description="form of a line of the log")
     open_costmaps: int = Field(default=3, gt=0, description="cost maps kept in memory for questions")
     allowed_hosts: Names = Field(

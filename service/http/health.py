@@ -82,7 +82,7 @@ class _Repeated:
         return self._found if late_s < max(PATIENCE_S, self._every_s) else f"no answer for {late_s:.0f} s"
 
 
-def disk_check(folder: Path, *, least_free_bytes: int) -> Look:
+def disk_check(folder: Path, *, least_free_bytes: int, ok: Callable[[], object] = lambda: None) -> Look:
     """Return a check that files can be written."""
 
     def _look() -> None:
@@ -91,5 +91,6 @@ def disk_check(folder: Path, *, least_free_bytes: int) -> Look:
             raise OSError(f"the disk is full: {free / 1e6:.0f} MB are free, at least {least_free_bytes / 1e6:.0f} MB")
         with tempfile.TemporaryFile(dir=folder, buffering=0) as probe:  # has no name: nothing is left of it
             probe.write(os.urandom(_PROBE_BYTES))
+        ok()
 
     return _look

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import copy
 import logging
+import tempfile
 from contextlib import suppress
 from importlib.metadata import version
 
@@ -44,7 +45,12 @@ class Service(SentFiles, Made):
         super().__init__()
         self.settings = settings
         self.version = version("joulemap")
-        self.store = Store(settings.data_dir, settings.resolved_database_url, objects=settings.store)
+        self.store = Store(
+            settings.data_dir,
+            settings.resolved_database_url,
+            objects=settings.store,
+            least_free_bytes=int(1e6 * settings.min_free_mb),
+        )
         self.retention = Retention(
             settings, self.store, {CostmapRow: self.delete_costmap, CalibrationRow: self.delete_calibration}
         )
@@ -86,6 +92,7 @@ class Service(SentFiles, Made):
         )
         self.kernels = Kernels()
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._scratch = ""
 
     def seen_by(self, caller: Caller) -> Service:
         """Return this service as a caller sees it.
@@ -106,6 +113,7 @@ class Service(SentFiles, Made):
         """Open the store, load the kernels in a thread, and go on with unfinished jobs."""
         self._loop = loop
         self.store.open()
+        tempfile.tempdir = self._scratch = str(self.store.uploads)  # forms and files that are made need it, by and by
         self.health.start()
         self.readers.start()
         self.kernels.load(self._find_warm_models)
@@ -116,6 +124,8 @@ class Service(SentFiles, Made):
         self.health.stop()
         self.jobs.stop()
         self.readers.close()
+        if tempfile.tempdir == self._scratch:
+            tempfile.tempdir = None
         self.store.close()
 
     def check_ready(self) -> float:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import AsyncIterator, Mapping
+from contextlib import ExitStack, asynccontextmanager
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
@@ -13,6 +14,7 @@ from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ValidationError
 from starlette.datastructures import FormData, UploadFile
+from starlette.types import Message
 
 from joulemap.model.errors import InputError
 from joulemap.model.ranges import LONGEST_NAME
@@ -41,6 +43,24 @@ def invalid(error: ValidationError, where: str) -> RequestValidationError:
     """Return pydantic's findings as those of a request."""
     found = error.errors(include_url=False)
     return RequestValidationError([{**e, "loc": (where, *e["loc"])} for e in found])
+
+
+@asynccontextmanager
+async def arriving(request: Request, service: Service) -> AsyncIterator[Request]:
+    """Yield a request whose body takes room while it arrives. Raises StorageFullError where there is none."""
+    check = partial(anyio.to_thread.run_sync, service.store.check_room)
+    with service.store.upload() as upload:
+
+        async def _receive() -> Message:
+            message = await request.receive()
+            if upload.arrives(len(message.get("body", b""))):
+                await check()
+            return message
+
+        declared = request.headers.get("content-length", "0")
+        upload.reserve(int(declared) if declared.isdecimal() else 0)
+        await check()
+        yield Request(request.scope, _receive)
 
 
 async def take_raw(request: Request, service: Service, options: UploadOptions) -> HeightmapRow:

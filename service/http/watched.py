@@ -54,7 +54,10 @@ def watch(
     """Add the checks and the numbers that every service has."""
     looked = Looked(store, settings.data_dir)
     health.add("database", looked.at_database)
-    health.add("disk", disk_check(settings.data_dir, least_free_bytes=int(settings.min_free_mb * 1e6)))
+    health.add(
+        "disk",
+        disk_check(settings.data_dir, least_free_bytes=int(settings.min_free_mb * 1e6), ok=store.room.keep_reserve),
+    )
     health.add("files", looked.at_files, every_s=_FOLDERS_S)
     metrics.queues(queues)
     metrics.gauge("joulemap_open_costmaps", "cost maps in memory", lambda: float(len(maps)))

@@ -60,4 +60,4 @@ class KeptCalibrations(KeptJobs):
                 f"{', '.join(users[:5])}: delete them first",
                 costmap_ids=users,
             )
-        self._delete(row)
+        self._delete(lambda session: session.delete(row))

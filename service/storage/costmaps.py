@@ -72,6 +72,7 @@ class KeptCostmaps(KeptJobs):
 
         Raises NotFoundError if there is none.
         """
-        self._delete(self.costmap(costmap_id))
+        row = self.costmap(costmap_id)
+        self._delete(lambda session: session.delete(row))
         LatticeFolder(self.lattice_path(costmap_id)).discard()
         self._remove_all(costmap_id)

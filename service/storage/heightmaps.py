@@ -67,8 +67,7 @@ class KeptHeightmaps(Kept):
         """
         row = self.heightmap(heightmap_id)
         try:
-            with self._sessions.begin() as session:
-                session.delete(row)
+            self._delete(lambda session: session.delete(row))
         except IntegrityError as error:
             with self._sessions() as session:
                 users = {

@@ -25,7 +25,6 @@ from joulemap.service.storage.tables import (
     JOBS,
     QUEUED,
     RUNNING,
-    JobRow,
     kind_of,
 )
 
@@ -101,10 +100,6 @@ class KeptJobs(Kept):
             at_work = table.status.in_([QUEUED, RUNNING])
             ended = update(table).where(table.id == job_id, at_work).values(finished_at=now(), **values)
             return bool(session.execute(ended).rowcount)  # type: ignore[attr-defined]
-
-    def _delete(self, row: JobRow) -> None:
-        with self._sessions.begin() as session:
-            session.delete(row)
 
     def tidy(self, job_id: str) -> None:
         """Remove what was only needed to make a job that is done."""

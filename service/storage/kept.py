@@ -9,12 +9,13 @@ import logging
 import secrets
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from sqlalchemy import create_engine, event, func, select, text, update
 from sqlalchemy.engine import Engine
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
 from joulemap.model.errors import NotFoundError
@@ -23,8 +24,9 @@ from joulemap.service.storage.columns import add_missing_columns, check_pages, c
 from joulemap.service.storage.data_folder import DataFolder
 from joulemap.service.storage.finite import dumps, loads
 from joulemap.service.storage.object_vault import ObjectVault
-from joulemap.service.storage.owners import NOBODY, Caller
+from joulemap.service.storage.owners import NOBODY, Caller, promised_bytes
 from joulemap.service.storage.private import close_database, say_what_is_open
+from joulemap.service.storage.room import Room, Upload
 from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.sums import changed, sums_of
 from joulemap.service.storage.tables import (
@@ -52,8 +54,11 @@ class Kept:
     Several services may share a data directory and its database.
     """
 
-    def __init__(self, data_dir: Path, database_url: str, *, objects: str | None = None) -> None:
+    def __init__(
+        self, data_dir: Path, database_url: str, *, objects: str | None = None, least_free_bytes: int = 0
+    ) -> None:
         self._dir = data_dir
+        self.room = Room(data_dir, least_free_bytes=least_free_bytes)
         self.vault = vault_of(objects)
         self._url = database_url
         self._engine: Engine | None = None
@@ -95,6 +100,7 @@ class Kept:
         self._sessions = sessionmaker(self._engine, expire_on_commit=False)
         if as_service:
             self._folder.sweep(self._sessions)
+            self.room.keep_reserve()
             if not alone:
                 self._folder.share()
 
@@ -162,6 +168,21 @@ class Kept:
         finally:
             path.unlink(missing_ok=True)
 
+    @contextlib.contextmanager
+    def upload(self) -> Iterator[Upload]:
+        """Count an upload of the caller as long as it is on its way."""
+        upload = Upload(self.room, self.owner)
+        try:
+            yield upload
+        finally:
+            upload.end()
+
+    def check_room(self) -> None:
+        """Check that the caller and the disk have room for what is on its way. Raises StorageFullError."""
+        with self._sessions() as session:
+            self._caller.check_room(session, self.room.arriving[self.owner])
+            self.room.check(promised_bytes(session))
+
     def here(self, place: Path) -> Path:
         """Have a file or a folder that is kept in the data folder."""
         with contextlib.suppress(FileNotFoundError):
@@ -215,10 +236,22 @@ class Kept:
             caller.check_room(session, size)
             if isinstance(row, JobRow):
                 caller.check_jobs(session)
+                self.room.check(promised_bytes(session) + size)
             session.add(row)
             session.flush()
             for table, ids in _sources(row):
                 session.execute(update(table).where(table.id.in_(ids)).values(used_at=now()))
+
+    def _delete(self, delete: Callable[[Session], object]) -> None:
+        """Do what makes room; on a full disk a reserve is given up for it."""
+        try:
+            with self._sessions.begin() as session:
+                delete(session)
+        except OperationalError:
+            if not self.room.make_a_little():
+                raise
+            with self._sessions.begin() as session:
+                delete(session)
 
     def _row(self, table: type[Row], there: str, **key: str) -> Row:
         ((name, row_id),) = key.items()

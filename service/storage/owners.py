@@ -90,6 +90,12 @@ NOBODY = Caller()
 """The service itself, and everybody while there are no keys: it sees all, and what it adds belongs to nobody."""
 
 
+def promised_bytes(session: Session) -> int:
+    """Return the most that jobs take which wait or run [bytes]."""
+    unfinished = (select(func.sum(t.bytes)).where(t.status.in_([QUEUED, RUNNING])) for t in JOBS.values())
+    return sum(int(session.scalar(query) or 0) for query in unfinished)
+
+
 def kept_bytes(session: Session, name: str) -> int:
     """Return how much one owner keeps. Result: bytes; a job that is not done counts with the most that it can take."""
     tables: list[Any] = [HeightmapRow, RunsRow, *JOBS.values()]

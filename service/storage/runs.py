@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from joulemap.model.errors import ConflictError
 from joulemap.service.storage.kept import Kept, now
@@ -59,7 +60,8 @@ class KeptRuns(Kept):
         Raises NotFoundError if there are none; ConflictError if calibrations use them; their ids are in the context.
         """
         row = self.runs(runs_id)
-        with self._sessions.begin() as session:
+
+        def _unless_used(session: Session) -> None:
             made = session.execute(select(CalibrationRow.id, CalibrationRow.request)).all()
             users = sorted(
                 job_id
@@ -73,6 +75,8 @@ class KeptRuns(Kept):
                     calibration_ids=users,
                 )
             session.delete(row)
+
+        self._delete(_unless_used)
         self._forget(self.runs_folder(runs_id))
 
     def runs_folder(self, runs_id: str) -> Path:

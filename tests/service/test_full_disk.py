@@ -6,10 +6,11 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import httpx
@@ -112,7 +113,9 @@ def test_a_full_disk_is_told_over_http_and_work_goes_on_with_room(tmp_path: Path
         assert http.get(place).json() == kept.json()
         assert [path.name for path in (folder / "heightmaps").iterdir()] == [f"{kept.json()['id']}.tif"]
         assert list((folder / "runs").iterdir()) == []
-        assert [path for path in (folder / "uploads").rglob("*") if path.is_file() and path.suffix != ".lock"] == []
+        assert [
+            path for path in (folder / "uploads").rglob("*") if path.is_file() and not path.suffix.endswith("lock")
+        ] == []
         asked = {"heightmap_id": kept.json()["id"], "model": "physics", "headings": 8}
         job = http.post("/v1/costmaps", json=asked)
         if job.status_code == 202:  # the database may have found room for its row
@@ -125,6 +128,63 @@ def test_a_full_disk_is_told_over_http_and_work_goes_on_with_room(tmp_path: Path
         wait_until(lambda: answers(http, "/readyz"))
         again = read_heightmap((folder / "heightmaps" / f"{kept.json()['id']}.tif").read_bytes())
         np.testing.assert_array_equal(again.heights, rough(300).heights)
+
+
+@needs_mounts
+def test_room_is_there_before_work_is_accepted_and_deleting_needs_none(tmp_path: Path) -> None:
+    small = write_geotiff(None, rough(300))
+    with serving_on_small_disk(tmp_path) as (http, folder):
+        places = [http.post("/v1/heightmaps", content=small).headers["location"] for _ in range(2)]
+        asked = {"heightmap_id": places[0].rsplit("/", 1)[-1], "model": "physics", "headings": 8}
+        other = folder / "other"
+        other.write_bytes(bytes(_free(folder) - 7_000_000))
+        _refused(http.post("/v1/costmaps", json=asked))  # 300 x 300 x 8 prices of 8 bytes
+        assert http.get("/v1/costmaps").json()["total"] == 0
+        first = _begins(http, "/v1/heightmaps", 4_000_000, "Content-Type: application/octet-stream", bytes(1_000_000))
+        wait_until(lambda: _free(folder) < 6_500_000)
+        wait_until(lambda: _answer_to(http, 3_000_000) == 507)  # beside what is on its way: it is not sent at all
+        first.close()
+        wait_until(lambda: _answer_to(http, 3_000_000) is None)
+        form = _begins(
+            http, "/v1/runs", 3_000_000, "Content-Type: multipart/form-data; boundary=x", FORM + bytes(2_000_000)
+        )
+        wait_until(lambda: _free(folder) < 5_500_000)  # what a form brings lies in the data folder too
+        form.close()
+        wait_until(lambda: _free(folder) > 6_500_000)
+        with other.open("ab") as more:
+            while room := _free(folder):
+                more.write(bytes(min(room, 1 << 20)))
+        assert http.delete(places[0]).status_code == 204
+        assert http.get("/v1/heightmaps").json()["total"] == 1
+        other.unlink()
+        wait_until(lambda: (folder / "reserve").exists())  # for the next time
+        assert (
+            http.post("/v1/costmaps", json={**asked, "heightmap_id": places[1].rsplit("/", 1)[-1]}).status_code == 202
+        )
+
+
+FORM = b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n'
+
+
+def _free(folder: Path) -> int:
+    return os.statvfs(folder).f_bavail * 4096
+
+
+def _begins(http: httpx.Client, path: str, length: int, kind: str, body: bytes = b"") -> socket.socket:
+    """A connection on which an upload has begun and does not go on."""
+    connection = socket.create_connection(("127.0.0.1", http.base_url.port))
+    head = f"POST {path} HTTP/1.1\r\nHost: localhost\r\n{kind}\r\nContent-Length: {length}\r\n\r\n"
+    connection.sendall(head.encode() + body)
+    return connection
+
+
+def _answer_to(http: httpx.Client, length: int) -> int | None:
+    """The status that an upload gets of which nothing but the header is sent; None where more of it is awaited."""
+    with closing(_begins(http, "/v1/heightmaps", length, "Content-Type: application/octet-stream")) as connection:
+        connection.settimeout(2.0)
+        with suppress(TimeoutError):
+            return int(connection.recv(100).split()[1])
+    return None
 
 
 def _refused(answer: httpx.Response) -> None:

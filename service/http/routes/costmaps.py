@@ -19,7 +19,7 @@ from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import costmap_body, problems
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.service import Service
-from joulemap.service.http.uploads import invalid, media_type, take_form
+from joulemap.service.http.uploads import arriving, invalid, media_type, take_form
 from joulemap.service.questions.reading import UploadOptions
 from joulemap.service.schemas.base import UnreadableOut, robot_values
 from joulemap.service.schemas.kept import costmap_out, listed, shown
@@ -57,7 +57,7 @@ async def make_costmap(
     service.check_room()
     kind = media_type(request)
     if kind == "multipart/form-data":
-        async with request.form(max_files=1, max_fields=20) as form:
+        async with arriving(request, service) as request, request.form(max_files=1, max_fields=20) as form:
             wanted = await anyio.to_thread.run_sync(_form_options, form)
             await anyio.to_thread.run_sync(_check_settings, service, wanted)
             heightmap = await take_form(request, form, service, options)

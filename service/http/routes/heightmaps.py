@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import problems, upload_body
-from joulemap.service.http.uploads import media_type, take_form, take_raw
+from joulemap.service.http.uploads import arriving, media_type, take_form, take_raw
 from joulemap.service.questions.reading import UploadOptions
 from joulemap.service.schemas.base import UnreadableOut
 from joulemap.service.schemas.kept import heightmap_out, listed, shown
@@ -31,10 +31,11 @@ async def send_heightmap(
 ) -> HeightmapOut:
     """Send a heightmap, as the form field `file` or as the raw body. What the file does not say is a parameter."""
     if media_type(request) == "multipart/form-data":
-        async with request.form(max_files=1, max_fields=20) as form:
+        async with arriving(request, service) as request, request.form(max_files=1, max_fields=20) as form:
             row = await take_form(request, form, service, options)
     else:
-        row = await take_raw(request, service, options)
+        async with arriving(request, service) as request:
+            row = await take_raw(request, service, options)
     response.headers["Location"] = f"/v1/heightmaps/{row.id}"
     return heightmap_out(row)
 

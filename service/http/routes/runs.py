@@ -13,7 +13,7 @@ from joulemap.model.runs.mapping import read_mapping
 from joulemap.model.runs.odometry import Odometry
 from joulemap.service.http.dependencies import KernelsDep, Limit, Offset, ServiceDep
 from joulemap.service.http.documents import problems, runs_body
-from joulemap.service.http.uploads import media_type, take_raw_run, take_runs
+from joulemap.service.http.uploads import arriving, media_type, take_raw_run, take_runs
 from joulemap.service.intake.limits import RunReading
 from joulemap.service.schemas.base import UnreadableOut, within
 from joulemap.service.schemas.kept import listed, runs_out, shown
@@ -86,10 +86,14 @@ async def send_runs(
     reading = RunReading(odometry, read_mapping(entries), accept_implausible)
     how: dict[str, Any] = {"heightmap_id": heightmap_id, "reading": reading}
     if media_type(request) == "multipart/form-data":
-        async with request.form(max_files=service.settings.max_runs, max_fields=20) as form:
+        async with (
+            arriving(request, service) as request,
+            request.form(max_files=service.settings.max_runs, max_fields=20) as form,
+        ):
             row = await take_runs(request, form, service, **how)
     else:
-        row = await take_raw_run(request, service, name=name, **how)
+        async with arriving(request, service) as request:
+            row = await take_raw_run(request, service, name=name, **how)
     response.headers["Location"] = f"/v1/runs/{row.id}"
     return runs_out(row)
 
