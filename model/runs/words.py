@@ -90,7 +90,12 @@ def quantity_value(key: str, value: float) -> str:
     return f"{f'{value:.1f}' if key in _TENTHS else number_words(value)} {unit}".rstrip()
 
 
+_ROUNDING = 1e-12
+"""Less than what sums of double-precision numbers of some kilojoules are uncertain by, in any unit used here."""
+
+
 def number_words(value: float, *, signed: bool = False) -> str:
-    """Return a number with three significant digits."""
+    """Return a number with three significant digits; what is left of a difference by rounding is 0."""
+    value = 0.0 if abs(value) < _ROUNDING else value
     rounded, sign = float(f"{value:.3g}"), "+" if signed else ""
     return f"{rounded:{sign},.0f}" if 1e3 <= abs(rounded) < 1e9 else f"{value:{sign}.3g}"

@@ -9,11 +9,13 @@ all of them are listed.
 from __future__ import annotations
 
 import inspect
+import math
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
@@ -262,6 +264,11 @@ def _option(
         kind = list[Any] if several else Any
     elif kind is bool:
         names = [f"{names[0]}/--no-{names[0][2:]}"] if default else names
+    elif choices := value.get("enum"):
+        words["metavar"] = "|".join(map(str, choices))
+    elif default is not None and any(one.get("type") == "null" for one in field.get("anyOf", ())):
+        words |= {"metavar": f"{low:g}..{high:g}|null", "parser": partial(_or_null, low, high)}
+        kind = Any
     elif (low, high) == (0.0, 1.0):
         words |= {"metavar": "0..1", "parser": parse_share}
     elif kind in (int, float):
@@ -299,6 +306,19 @@ def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(
         name, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=empty if default is ... else default
     )
+
+
+def _or_null(low: float, high: float, text: Any) -> Any:
+    """A number within its bounds, or null for none."""
+    if text == "null":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise typer.BadParameter(f"{text} is not in the range {low:g}..{high:g}; `null` is for none")
+    return value
 
 
 def _shares(text: Any) -> Any:

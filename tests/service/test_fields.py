@@ -248,3 +248,19 @@ def test_commands_say_which_robot_they_took(tmp_path):
     ):
         found = CliRunner().invoke(app, [*words, str(tmp_path / name), *more], env={"COLUMNS": "200"})
         assert said in found.output
+
+
+def test_help_shows_choices_and_null_is_an_answer(costmap, tmp_path):
+    """`--confidence null` judges by the expected energy, as over HTTP; a number outside the bounds is wrong usage."""
+    costmap.save(tmp_path / "map.zarr")
+    runner = CliRunner(env={"COLUMNS": "200"})
+    shown = runner.invoke(app, ["path", "--help"]).output
+    assert "astar|dijkstra|" in shown
+    assert "8|16|32" in shown
+    asked = ["return", str(tmp_path / "map.zarr"), "--position", "110,10", "--home", "140,30", "--charge", "0.5"]
+    found = runner.invoke(app, [*asked, "--confidence", "null", "--json", str(tmp_path / "found.json")])
+    assert found.exit_code == 0, found.output
+    assert json.loads((tmp_path / "found.json").read_text())["home"]["probability"] is None
+    wrong = runner.invoke(app, [*asked, "--confidence", "0.2"])
+    assert wrong.exit_code == 2
+    assert "0.2 is not in the range 0.5..0.99" in wrong.output

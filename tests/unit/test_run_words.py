@@ -25,3 +25,7 @@ def test_numbers_have_three_digits_and_no_exponent_for_thousands():
     said = [number_words(value) for value in (0.0, 0.04567, 348.2, 999.6, 1949.9, -38321.0, 1.23e5)]
     assert said == ["0", "0.0457", "348", "1,000", "1,950", "-38,300", "123,000"]
     assert [number_words(value, signed=True) for value in (1949.9, 3.0, -3.0)] == ["+1,950", "+3", "-3"]
+
+
+def test_what_rounding_left_of_a_difference_is_nothing():
+    assert [number_words(value) for value in (-1.05e-15, 0.0, 3e-9)] == ["0", "0", "3e-09"]
