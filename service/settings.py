@@ -118,6 +118,9 @@ class Settings(BaseSettings):
         ge=0,
         description="disk space that stays free: /readyz fails and new work is refused below it [MB]",
     )
+    check_every_h: float | None = Field(
+        default=None, gt=0, description="hours between checks of what is kept, as `joulemap check` does; default: never"
+    )
     log_format: Literal["text", "json"] = Field(default="text", description="form of a line of the log")
     open_costmaps: int = Field(default=3, gt=0, description="cost maps kept in memory for questions")
     allowed_hosts: Names = Field(

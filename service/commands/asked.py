@@ -266,7 +266,12 @@ def _option(
         names = [f"{names[0]}/--no-{names[0][2:]}"] if default else names
     elif choices := value.get("enum"):
         words["metavar"] = "|".join(map(str, choices))
-    elif default is not None and any(one.get("type") == "null" for one in field.get("anyOf", ())):
+    elif (
+        low is not None
+        and high is not None
+        and default is not None
+        and any(one.get("type") == "null" for one in field.get("anyOf", ()))
+    ):
         words |= {"metavar": f"{low:g}..{high:g}|null", "parser": partial(_or_null, low, high)}
         kind = Any
     elif (low, high) == (0.0, 1.0):

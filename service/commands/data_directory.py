@@ -33,25 +33,18 @@ def check(
 
     Example: `joulemap check --repair --data-dir /var/lib/joulemap`
     """
-    from joulemap.service.schemas.kept import calibration_out, costmap_out, heightmap_out, runs_out
+    from joulemap.service.schemas.kept import ANSWERS
     from joulemap.service.storage.check import LEFT_BY_KILLED, Check, Finding
-    from joulemap.service.storage.tables import CalibrationRow, CostmapRow, HeightmapRow, RunsRow
 
     output, settings = Output(json_file), settings_of(data_dir=data_dir)
     used(settings)
     found: list[dict[str, Any]] = []
-    answers: dict[Any, Any] = {
-        HeightmapRow: heightmap_out,
-        RunsRow: runs_out,
-        CostmapRow: costmap_out,
-        CalibrationRow: calibration_out,
-    }
     if repair:  # a service that starts alone deletes them
         with opened_store(writable(settings)) as store:
             left = [str(path.relative_to(settings.data_dir)) for path in store.leftovers()]
         found = [_document(Finding("partial", what, LEFT_BY_KILLED, "delete it"), repaired=True) for what in left]
     with opened_store(writable(settings), alone=repair) as store, progress_bar("Check") as report:
-        looking = Check(store, settings.data_dir, settings.resolved_models_dir, answers=answers)
+        looking = Check(store, settings.data_dir, settings.resolved_models_dir, answers=ANSWERS)
         for finding in looking.findings(report):
             if repair and finding.repair is not None:
                 finding.repair()

@@ -23,6 +23,7 @@ from joulemap.service.http.metrics import Metrics
 from joulemap.service.http.open_maps import OpenMaps
 from joulemap.service.http.plans import plan_queue, price_queue
 from joulemap.service.http.retention import Retention
+from joulemap.service.http.scheduled_check import ScheduledCheck
 from joulemap.service.http.sent_files import SentFiles
 from joulemap.service.http.watched import watch
 from joulemap.service.intake.limits import ReadLimits
@@ -90,6 +91,10 @@ class Service(SentFiles, Made):
         self.metrics.counter(
             "joulemap_sent_files_refused_total", "refused: the queue was full", lambda: float(self.readers.refused)
         )
+        self.check = ScheduledCheck(settings, self.store)
+        self.metrics.gauge(
+            "joulemap_check_findings", "what the latest scheduled check found wrong", lambda: float(self.check.found)
+        )
         self.kernels = Kernels()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._scratch = ""
@@ -115,6 +120,7 @@ class Service(SentFiles, Made):
         self.store.open()
         tempfile.tempdir = self._scratch = str(self.store.uploads)  # forms and files that are made need it, by and by
         self.health.start()
+        self.check.start()
         self.readers.start()
         self.kernels.load(self._find_warm_models)
         self.jobs.start()
@@ -122,6 +128,7 @@ class Service(SentFiles, Made):
     def stop(self) -> None:
         """Stop the workers and close the store."""
         self.health.stop()
+        self.check.stop()
         self.jobs.stop()
         self.readers.close()
         if tempfile.tempdir == self._scratch:

@@ -234,3 +234,12 @@ def _utc(time: dt.datetime) -> dt.datetime:
     if time == NO_TIME:
         raise ValueError("its time is damaged")
     return time.replace(tzinfo=dt.UTC)
+
+
+ANSWERS: dict[Any, Callable[[Any], BaseModel]] = {
+    HeightmapRow: heightmap_out,
+    RunsRow: runs_out,
+    CostmapRow: costmap_out,
+    CalibrationRow: calibration_out,
+}
+"""How a row of each table is answered."""

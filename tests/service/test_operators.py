@@ -27,6 +27,7 @@ from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import SCHEMA, HeightmapRow
 from tests.service.conftest import settings_for
 from tests.service.test_contract import served
+from tests.service.test_restart import wait_until
 
 DAY_S = 86_400.0
 
@@ -232,3 +233,15 @@ def test_the_documentation_runs_no_other_script(client: TestClient) -> None:
     assert "default-src 'none'" in policy
     assert "frame-ancestors 'none'" in policy
     assert "https://" not in answer.text.replace("https://fastapi.tiangolo.com", "")
+
+
+def test_a_check_on_a_schedule_tells_of_damage(
+    tmp_path: Path, hill_tif: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    with TestClient(create_app(settings_for(tmp_path, check_every_h=0.5 / 3600.0))) as client:
+        kept = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
+        caplog.set_level("INFO")
+        wait_until(lambda: "check: nothing is wrong" in caplog.text)
+        (tmp_path / "heightmaps" / f"{kept}.tif").write_bytes(hill_tif[:-1] + b"x")
+        wait_until(lambda: "joulemap_check_findings 1.0" in client.get("/metrics").text)
+        assert f"damaged: {kept}" in caplog.text
