@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import CalibrationRuns, read_calibration_runs
@@ -130,13 +130,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.loop.rivals", description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", default=["drive", "cuadriga"], help=f"of {', '.join(REAL)}")
     parser.add_argument("--left-out", default="runs,campaigns")
+    parser.add_argument("--model", default="physics", help="that the calibration starts from")
     options = parser.parse_args(arguments)
     folder = real_folder()
     if folder is None:
         parser.error("there are no real runs here (set JOULEMAP_REAL_DATA to their folder)")
     for name in options.names:
         runs, campaigns = REAL[name](folder)
-        measured = measure("physics", PhysicsPredictor(), runs)
+        measured = measure(options.model, load_predictor(options.model), runs)
         for left_out in options.left_out.split(","):
             groups = campaigns if left_out == "campaigns" else None
             if groups is not None and len(set(groups)) == len(groups):
@@ -144,7 +145,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             fold = measured.residuals.folds(groups)
             found = calibrate(measured.residuals, electric=measured.electric, groups=groups)
             whole = [] if runs.placed else ["", *drive_lines(found, fold)]
-            print("\n".join([*lines_of(f"{name}, {left_out}", found, fold), *whole, ""]), flush=True)
+            print("\n".join([*lines_of(f"{name}, {left_out}, {options.model}", found, fold), *whole, ""]), flush=True)
 
 
 if __name__ == "__main__":

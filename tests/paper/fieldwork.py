@@ -87,7 +87,7 @@ def make_field(folder: Path, seed: int, profile: Profile) -> dict[str, Any]:
                 log = log_trace(trace, truth, rng=rng, terrain=site.ground.name, start_s=start_s)
                 file = log.write_csv(folder / f"{drive}_{number:02d}.csv")
                 segments = read_chords([file], robot, crs=site.survey.frame.crs)
-                parts.append(_explained(trace, segments, start_s))
+                parts.append(explained_j(trace, segments, start_s))
                 metres[drive] += driven.length_m
             explained[drive] = np.concatenate(parts)
     np.savez(folder / "explained.npz", **explained)  # type: ignore[arg-type]
@@ -196,7 +196,7 @@ def _routes(drive: str, site: Site, profile: Profile, rng: np.random.Generator) 
     return [points[a : b + 1] for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
 
-def _explained(trace: Trace, segments: Segments, start_s: float) -> FloatArray:
+def explained_j(trace: Trace, segments: Segments, start_s: float) -> FloatArray:
     """Explained energy [J] between the ends of measured segments, at the true power of those moments."""
     clock = trace.t + Logger().standing_s + start_s
     total = trace.energy_j(trace.explained_w)

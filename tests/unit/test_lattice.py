@@ -78,6 +78,18 @@ def test_a_step_higher_than_the_wheel_radius_blocks_and_a_lower_one_does_not():
                 assert (lattice.blocked[:, [*range(9), *range(12, 20)]] == Blocked.FREE).all()
 
 
+@pytest.mark.parametrize("resolution_m", [0.1, 0.2, 0.25])
+@pytest.mark.parametrize("inside", [0.0, 0.3, 0.5, 0.8])
+def test_a_kerb_inside_a_cell_is_a_step_on_a_survey_of_mean_heights(resolution_m, inside):
+    count = round(20.0 / resolution_m)
+    covered = np.clip(np.arange(count) + 1.0 - count / 2 - inside, 0.0, 1.0)  # share of each column above the kerb
+    heights = np.tile(1.5 * ROBOT.wheel_radius_m * covered, (count, 1)).astype(np.float32)
+    kerb = Heightmap(heights, GridFrame(0.0, 20.0, resolution_m, count, count))
+    lattice = build_lattice(kerb, ROBOT, PhysicsPredictor())
+    assert np.isnan(leg_prices(lattice, ACROSS_10_M))[0]
+    assert not np.isnan(leg_prices(lattice, ALONG_8_M))[0]
+
+
 def test_a_steep_slope_is_not_a_step_and_a_thin_wall_is():
     slope = build_lattice(surface(lambda x, y: 0.8 * np.abs(x - 10.0), resolution_m=0.1), ROBOT, PhysicsPredictor())
     assert (slope.blocked == Blocked.FREE).all()  # its grade is judged by heading
