@@ -1,7 +1,7 @@
 """What survey noise does to energies and limits: simulated grounds, driven, and priced on surveys of every quality.
 
 `python -m tests.bench.survey_noise --sites 40` prints, by side of a cell and noise, the sum of predicted energies over
-that of driven ones, the mean error per metre, and how much more ground is blocked by steps than on the true ground.
+that of driven ones, and the mean error per metre (`survey_steps` has the steps).
 With `--routes` it prints what the routes that are found on such surveys cost on the ground without noise, by the same
 model: beside their own energies (a search finds what noise makes cheap), and beside the best routes there.
 """
@@ -27,9 +27,10 @@ from joulemap.model.terrain.survey import SurveyQuality, degrade
 from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on, smooth_site
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.build import build_lattice
-from joulemap.planner.lattice.limits import ground_limits
 from joulemap.planner.route import price_route
 from joulemap.planner.route_planner import RoutePlanner
+from tests.bench.maps import terrain
+from tests.bench.timing import raced
 
 NOISES_M = (0.0, 0.01, 0.03, 0.05, 0.1, 0.15)
 CELLS_M = (0.1, 0.25, 0.5, 1.0)
@@ -48,7 +49,7 @@ def drawn_noise(
 
 
 def measure(sites: int, *, correlation_m: float, given: bool, as_surveyed: bool, seed: int) -> dict[tuple, list]:
-    """(model, cells, noise) -> per site: sum of predicted and of driven energies, error per metre; blocked share."""
+    """(model, cells, noise) -> per site: sum of predicted and of driven energies, error per metre."""
     predictors = {name: load_predictor(name) for name in MODELS}
     found = defaultdict(list)
     for number in range(sites):
@@ -65,23 +66,19 @@ def measure(sites: int, *, correlation_m: float, given: bool, as_surveyed: bool,
         places = driven.x[straight], driven.y[straight], driven.heading_rad[straight]
         for cells_m in CELLS_M:
             clean = degrade(site.terrain, SurveyQuality(cells_m), rng=rng)
-            frame = clean.frame.respaced(1.0)
-            steps = ground_limits(site.terrain, frame, declared)[2] == Blocked.STEP
             unit = drawn_noise(clean.frame.shape, cells_m, correlation_m, rng)
             for noise_m in NOISES_M:
                 heights = (clean.heights + noise_m * unit).astype(np.float32)
                 known = {"given_noise_m": noise_m, "noise_length_m": correlation_m} if given else {}
                 survey = Heightmap(heights, clean.frame, **known)
                 ground = survey if as_surveyed else survey.without_noise
-                hidden = ground_limits(ground, frame, declared)[2] == Blocked.STEP
                 for name, predictor in predictors.items():
                     traction = predictor.segment_traction(ground, declared, *places)
                     said = np.maximum(traction, 0.0) + declared.hotel_per_m
                     known = np.isfinite(said)
                     energy = driven.energy_j[straight][known]
                     error = np.abs(said[known] - energy) / energy
-                    share = hidden.mean() - steps.mean()
-                    found[name, cells_m, noise_m].append((said[known].sum(), energy.sum(), error.mean(), share))
+                    found[name, cells_m, noise_m].append((said[known].sum(), energy.sum(), error.mean()))
     return found
 
 
@@ -118,6 +115,24 @@ def routes(sites: int, *, as_surveyed: bool, seed: int) -> None:
             print(f"{name:10s} {cells_m:4g} m cells", *row, sep="   ")
 
 
+def times() -> None:
+    """Print how much longer a lattice takes where noise is estimated and taken out."""
+    clean = replace(terrain(300, 0.25), given_noise_m=0.0)
+    noise = 0.05 * np.random.default_rng(0).standard_normal(clean.frame.shape)
+    noisy = (clean.heights + noise).astype(np.float32)
+    for name in MODELS:
+        model = load_predictor(name)
+        found = raced(
+            {
+                "without noise": lambda model=model: build_lattice(clean, Robot(), model),  # type: ignore[misc]
+                "with noise": lambda model=model: build_lattice(Heightmap(noisy, clean.frame), Robot(), model),  # type: ignore[misc]
+            },
+            rounds=3,
+        )
+        words = ", ".join(f"{words} {least_s:.2f} s, {ratio:.2f} times" for words, (least_s, ratio) in found.items())
+        print(f"{name:10s} lattice of 300 x 300 cells: {words}", flush=True)
+
+
 def _open(lattice: CostLattice) -> CostLattice:
     """The same prices without steps, so that every route exists on every survey."""
     return replace(lattice, blocked=np.where(lattice.blocked == Blocked.STEP, Blocked.FREE, lattice.blocked))
@@ -132,7 +147,13 @@ def main() -> None:
     parser.add_argument("--given", action="store_true", help="give noise and length instead of letting it be estimated")
     parser.add_argument("--as-surveyed", action="store_true", help="price the surveys as they are")
     parser.add_argument("--routes", action="store_true", help="what the routes that are found cost on the true ground")
+    parser.add_argument(
+        "--times", action="store_true", help="how much longer a lattice takes that has its noise taken out"
+    )
     given = parser.parse_args()
+    if given.times:
+        times()
+        return
     if given.routes:
         routes(given.sites, as_surveyed=given.as_surveyed, seed=given.seed)
         return
@@ -143,15 +164,15 @@ def main() -> None:
         as_surveyed=given.as_surveyed,
         seed=given.seed,
     )
-    print("predicted over driven sum / mean error per metre [%] / blocked by steps, beyond the truth [% of the cells]")
-    print(f"{'':22s}", *(f"{1000 * noise_m:14.0f} mm" for noise_m in NOISES_M))
+    print("predicted over driven sum / mean error per metre [%]")
+    print(f"{'':22s}", *(f"{1000 * noise_m:8.0f} mm" for noise_m in NOISES_M))
     for name in MODELS:
         for cells_m in CELLS_M:
             row = []
             for noise_m in NOISES_M:
-                said, energy, error, share = np.array(found[name, cells_m, noise_m]).T
+                said, energy, error = np.array(found[name, cells_m, noise_m]).T
                 ratio = np.mean(said / energy)
-                row.append(f"{ratio:6.3f} {100 * error.mean():4.1f} {100 * share.mean():+5.1f}")
+                row.append(f"{ratio:6.3f} {100 * error.mean():4.1f}")
             print(f"{name:10s} {cells_m:4g} m cells", *row)
 
 
