@@ -30,17 +30,17 @@ def _is_large(cells_m: float, robot: Robot) -> bool:
 def obstructed(heightmap: Heightmap, robot: Robot) -> NDArray[np.bool_] | None:
     """Return which heights are obstacles to the robot: (rows, cols), or None where none is and none matters.
 
-    A step is a rise within one wheel diameter along a row or a column of the heightmap that exceeds the wheel radius,
-    and that neither the run before it nor the one after shares: a kerb, a wall or a ditch, but not a steep slope, which
-    is limited by the grade. Its obstacle is the higher pixel of its steepest rise. The diameter is rounded to pixels,
-    and to two of them at least: where heights are means over cells, a kerb inside a cell is two rises.
+    A step is a rise within one wheel diameter (to whole pixels, and at least two: a kerb inside a cell is two rises of
+    mean heights) along a row or a column of the heightmap that exceeds the wheel radius, and that neither the run
+    before it nor the one after shares: a kerb, a wall or a ditch, but not a steep slope, which is limited by the grade.
+    Its obstacle is the higher pixel of its steepest rise.
 
     Limits are judged in the square metre around a cell whatever the outline. For a robot that reaches further, unknown
     ground is an obstacle too, and where cells are wider than its wheels, so is a rise from one to the next that is
     steeper than the greatest grade.
     """
     cells_m, radius_m = heightmap.resolution_m, robot.wheel_radius_m
-    run = max(round(2.0 * radius_m / cells_m), 2) if 2.0 * radius_m >= cells_m else 0
+    run = max(int(2.0 * radius_m / cells_m), 2) if 2.0 * radius_m >= cells_m else 0
     large = _is_large(cells_m, robot)
     least_m = radius_m
     if large and run == 0:
