@@ -26,9 +26,8 @@ from joulemap.planner.lattice.obstacles import (
 from joulemap.planner.lattice.steps import SQUARE_M, obstacles_under, obstructed
 
 STEP_IN_NOISE = 7.5
-"""A setting: a step of so many standard deviations of the noise is found in all cells that it crosses where it lies
-between two pixels, and in 57 to 87 % where it lies in the middle of one. Measured on kerbs of 0.19 m and maps of 0.1 to
-0.25 m, as `tests/bench/survey_steps.py` makes them."""
+"""A step of so many standard deviations of the noise is found in all cells where it lies between two pixels, and in 57
+to 87 % inside one: kerbs of 0.19 m, maps of 0.1 to 0.25 m, as `tests/bench/survey_steps.py` makes them."""
 
 _ROWS_AT_ONCE = 32
 

@@ -30,10 +30,9 @@ def _is_large(cells_m: float, robot: Robot) -> bool:
 def obstructed(heightmap: Heightmap, robot: Robot) -> NDArray[np.bool_] | None:
     """Return which heights are obstacles to the robot: (rows, cols), or None where none is and none matters.
 
-    A step is a rise within one wheel diameter (to whole pixels, and at least two: a kerb inside a cell is two rises of
-    mean heights) along a row or a column of the heightmap that exceeds the wheel radius, and that neither the run
-    before it nor the one after shares: a kerb, a wall or a ditch, but not a steep slope, which is limited by the grade.
-    Its obstacle is the higher pixel of its steepest rise.
+    A step is a rise along a row or a column of the heightmap, within one wheel diameter (to whole pixels, at least two:
+    a kerb inside a cell is two rises), that exceeds the wheel radius and that neither the run before it nor the one
+    after shares: not a steep slope, which the grade limits. Its obstacle is the higher pixel of its steepest rise.
 
     Limits are judged in the square metre around a cell whatever the outline. For a robot that reaches further, unknown
     ground is an obstacle too, and where cells are wider than its wheels, so is a rise from one to the next that is
