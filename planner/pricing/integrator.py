@@ -146,15 +146,38 @@ def driven_prices(lattice: CostLattice, cell_j: float, *, penalty: float = SHAPE
 
 
 def metres_within_margin(lattice: CostLattice, points: Points) -> float:
-    """Return how much of a (row, col) polyline is within the robot's margin [m], see `within_margin`."""
+    """Return how much of a polyline is nearer to ground that may not be driven than the robot's margin.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    float
+        Length of the stretches of `within_margin` [m].
+    """
     return sum(within_margin(lattice, points)) * lattice.frame.resolution_m
 
 
 def within_margin(lattice: CostLattice, points: Points) -> list[float]:
-    """Return the lengths of the stretches of a (row, col) polyline that are within the robot's margin [cells].
+    """Return the stretches of a polyline that are nearer to ground that may not be driven than the robot's margin.
 
-    They are nearer to ground that may not be driven: of the legs, cut to half a cell, those beside or ahead of which a
-    leg at the margin may not be driven.
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    list of float
+        Their lengths [cells]: of the legs, cut to half a cell, those beside or ahead of which a leg at the margin may
+        not be driven.
     """
     margin = margin_cells(lattice)
     if margin == 0.0 or len(points) < 2:
