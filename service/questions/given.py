@@ -14,6 +14,8 @@ from joulemap.model.errors import InputError
 from joulemap.service.schemas.findings import BODY, findings
 
 Model = TypeVar("Model", bound=BaseModel)
+_REGISTERED = ("planner", "architecture")
+"""Fields that name what a Python user may register too; an unknown name is refused where it is looked up."""
 
 
 def plain(value: Any) -> Any:
@@ -37,17 +39,22 @@ def plain(value: Any) -> Any:
 def checked(request: type[Model], values: Mapping[str, Any]) -> Model:
     """The request with these values.
 
-    How many points and areas there may be is left to who answers: that limit protects a service that many share.
+    How many points and areas there may be is left to who answers, as that limit protects a service that many share; so
+    are names that can be registered.
     """
     given = {name: plain(value) for name, value in values.items()}
     try:
         return request.model_validate(given)
     except ValidationError as error:
-        wrong = [one for one in error.errors(include_url=False) if one["type"] != "too_long"]
+        wrong = [one for one in error.errors(include_url=False) if one["type"] != "too_long" and not _registered(one)]
         if not wrong:
             return request.model_construct(**given)
         words, found = findings([{**one, "loc": (BODY, *one["loc"])} for one in wrong])
         raise InputError(words, errors=found) from None
+
+
+def _registered(error: Mapping[str, Any]) -> bool:
+    return error["type"] == "literal_error" and error["loc"][-1] in _REGISTERED and isinstance(error["input"], str)
 
 
 def battery_with(battery: Any, **state: Any) -> dict[str, Any] | None:

@@ -29,7 +29,7 @@ class AlarmOut(ResponseModel):
     since_m: float = Field(description="where it probably began [m]")
     time_s: float = Field(description="time of the sample at which it was noticed [s]")
     side: Literal["more", "less"] = Field(description="whether the robot takes more or less since")
-    text: str
+    text: str = Field(description="the same in a sentence")
 
 
 class ForecastOut(ResponseModel):
@@ -50,7 +50,7 @@ class ForecastOut(ResponseModel):
     verdict: Literal["yes", "likely", "marginal", "no"] = Field(description="by that probability")
     learnt_m: float = Field(description="distance that was learnt from [m]")
     more: CauseOut = Field(description="how much more the rest takes, or the one cause that is seen")
-    causes: list[CauseOut]
+    causes: list[CauseOut] = Field(description="each cause by itself")
     alarms: list[AlarmOut] = Field(description="at most 20, the newest last")
     text: str = Field(description="all this in a sentence or two")
 
@@ -59,7 +59,7 @@ class DriveOut(ResponseModel):
     """A drive that is followed."""
 
     id: str
-    costmap_id: str
+    costmap_id: str = Field(description="of the cost map of its route")
     created_at: dt.datetime
     updates: int = Field(description="how often its log was sent")
     forecast: ForecastOut

@@ -316,6 +316,8 @@ def shared(
                 )
             )
         (folder / "models" / ids["calibration_id"]).mkdir(parents=True)
+        begun = client.post(f"/v1/costmaps/{ids['costmap_id']}/drives", json=BODIES["/drives"], headers=anna)
+        ids["drive_id"] = begun.json()["id"]
         yield client, keys, ids
 
 
@@ -336,6 +338,8 @@ BODIES = {
     "/reach": {"start": START},
     "/return": {"position": START, "home": GOAL},
     "/speeds": {"start": START, "goal": GOAL},
+    "/drives": {"path": [START, GOAL]},
+    "/updates": {"samples": [{"time_s": 0.0, "position": START, "power_w": 10.0}]},
 }
 
 
@@ -354,7 +358,7 @@ def test_what_others_own_is_not_there(shared: tuple[TestClient, dict[str, str], 
             body = next((body for end, body in BODIES.items() if path.endswith(end)), None)
             query = next((query for end, query in QUERIES.items() if path.endswith(end)), None)
             answer = client.request(method, url, params=query, json=body, headers=bearer(keys["bert"]))
-            text = re.sub(r"(hm|cm|runs|cal)-[0-9a-f]{12}", "ID", answer.text)
+            text = re.sub(r"(hm|cm|runs|cal|dr)-[0-9a-f]{12}", "ID", answer.text)
             answers.append((answer.status_code, re.sub(r'"request_id":\s*"\w+"', "", text)))
         assert answers[0] == answers[1], (method, path)
         assert answers[0][0] == 404, (method, path, answers[0])

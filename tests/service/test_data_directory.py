@@ -352,7 +352,7 @@ def test_a_copy_of_a_running_service_is_put_back_as_it_was(copied: dict[str, Any
         )
     code, made = joulemap("backup", tmp_path / "copy", "--data-dir", copied["folder"])
     assert code == 0, made
-    assert made["rows"] == {"heightmaps": 1, "runs": 1, "costmaps": 2, "calibrations": 1, "keys": 1}
+    assert made["rows"] == {"heightmaps": 1, "runs": 1, "costmaps": 2, "calibrations": 1, "drives": 0, "keys": 1}
     store.close()
     code, put_back = joulemap("restore", tmp_path / "copy", "--data-dir", tmp_path / "again")
     assert code == 0, put_back
@@ -386,7 +386,7 @@ def test_what_is_deleted_while_it_is_copied_is_not_in_the_copy(
     monkeypatch.setattr(backing_up, "_copy", deleting)
     manifest = back_up(store, tmp_path / "copy", models_dir=copied["folder"] / "models")
     store.close()
-    assert manifest["rows"] == {"heightmaps": 1, "runs": 1, "costmaps": 0, "calibrations": 0, "keys": 1}
+    assert manifest["rows"] == {"heightmaps": 1, "runs": 1, "costmaps": 0, "calibrations": 0, "drives": 0, "keys": 1}
     assert not any("costmaps" in place for place in manifest["files"])
     assert not (tmp_path / "copy" / "costmaps" / f"{copied['costmap']}.zarr").exists()
     again = opened(tmp_path / "again", as_service=True, alone=True)

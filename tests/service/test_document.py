@@ -99,7 +99,9 @@ def fields_of(value: Any, place: str = "") -> set[str]:
 
 
 def test_405_names_all_methods(client: TestClient) -> None:
-    ids = {"heightmap_id": "hm-1", "costmap_id": "cm-1", "runs_id": "runs-1", "calibration_id": "cal-1"}
+    ids = {"heightmap_id": "hm-1", "costmap_id": "cm-1", "runs_id": "runs-1", "calibration_id": "cal-1"} | {
+        "drive_id": "dr-1"
+    }
     for path, methods in DOCUMENT["paths"].items():
         url = re.sub(r"{(\w+)}", lambda found: ids[found[1]], path)
         for method in {"get", "post", "put", "patch", "delete", "options"} - methods.keys():

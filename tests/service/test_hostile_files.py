@@ -22,7 +22,7 @@ from rasterio.transform import from_origin
 
 from joulemap.model.errors import BusyError, TooLargeError
 from joulemap.service.http.app import create_app, openapi_document
-from joulemap.service.intake.limits import ReadLimits
+from joulemap.service.intake.limits import ReadLimits, RunReading
 from joulemap.service.intake.readers import Readers
 from tests.fuzz.bombs import BOMBS
 from tests.fuzz.files import MAPS, PATHS, RUNS, parquet, plain_tiff
@@ -221,6 +221,9 @@ def test_blocks_of_a_map_that_need_more_memory_are_no_corrupt_file(tmp_path: Pat
     anyio.run(_main)
 
 
+READING = RunReading().as_dict()
+
+
 def test_a_process_that_takes_too_long_or_too_much_is_ended(tmp_path: Path) -> None:
     place = tmp_path / "run.csv"
     place.write_bytes(ROWS)
@@ -230,11 +233,13 @@ def test_a_process_that_takes_too_long_or_too_much_is_ended(tmp_path: Path) -> N
             closing(Readers(processes=1, queue=1, limits=ReadLimits(0.001, 750))) as hurried,
             pytest.raises(TooLargeError, match=r"could not be read within 0\.001 s"),
         ):
-            await hurried.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
+            await hurried.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS, reading=READING)
         with closing(Readers(processes=1, queue=1, limits=ReadLimits(5, 200))) as narrow:
             with pytest.raises(TooLargeError, match="more than 200 MB of memory"):
-                await narrow.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
-            assert (await narrow.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS))["rows"] == 400
+                await narrow.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS, reading=READING)
+            assert (await narrow.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS, reading=READING))[
+                "rows"
+            ] == 400
         with closing(Readers(processes=1, queue=1, limits=ReadLimits(30, 10_000))) as roomy:
             seen: set[psutil.Process] = set()
             with anyio.move_on_after(60) as scope:
@@ -248,7 +253,7 @@ def test_a_process_that_takes_too_long_or_too_much_is_ended(tmp_path: Path) -> N
                         scope.cancel()
 
                     group.start_soon(_until_it_reads)
-                    await roomy.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
+                    await roomy.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS, reading=READING)
             assert scope.cancelled_caught
             await anyio.sleep(0.5)
             assert seen
@@ -267,12 +272,14 @@ def test_files_are_read_by_forks_of_one_thread(tmp_path: Path) -> None:
     async def _main() -> None:
         with closing(Readers(processes=1, queue=1, limits=ReadLimits(5, 750))) as readers:
             for _ in range(2):
-                await readers.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS)
+                await readers.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS, reading=READING)
             (template,) = templates() - others
             assert template.num_threads() == 1
             assert forks() == set()
             with pytest.raises(OSError, match="No such file"):
-                await readers.read("run", path=str(tmp_path / "none"), name="run.csv", limits_of_run=LIMITS)
+                await readers.read(
+                    "run", path=str(tmp_path / "none"), name="run.csv", limits_of_run=LIMITS, reading=READING
+                )
 
     others = templates()
     anyio.run(_main)
@@ -286,7 +293,9 @@ def test_a_full_queue_is_told(tmp_path: Path) -> None:
     async def _main() -> None:
         async def _one() -> None:
             try:
-                found.append(await readers.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS))
+                found.append(
+                    await readers.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS, reading=READING)
+                )
             except BusyError as error:
                 found.append(error)
 

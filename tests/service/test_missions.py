@@ -291,7 +291,7 @@ def test_the_next_drive_by_command_and_in_python(folder: Path, tmp_path: Path, m
         "total_length_m": 100.0,
         "expected_interval_share": 0.5,
     }
-    monkeypatch.setattr("joulemap.service.commands.calibration._Asked.read", lambda _asked: None)
+    monkeypatch.setattr("joulemap.service.commands.drives.ComparedDrives.read", lambda _asked: None)
     monkeypatch.setattr(
         "joulemap.service.loop.next_drive.suggest_next_drive",
         lambda *_given, **_options: SimpleNamespace(as_dict=lambda: dict(drive)),

@@ -154,7 +154,7 @@ def test_kinds_and_obstacles_over_the_hill_through_the_command_line(tmp_path: Pa
     more = (layered.traction_per_m - bare.traction_per_m)[..., 0] / bare.robot.weight_n
     own = bare.robot.rolling_resistance
     free = (layered.blocked == Blocked.FREE) & ~near
-    assert more[free & (x < 500050.0)] == pytest.approx(0.06 - own, abs=1e-5)  # McKibben, bluegrass sod
+    assert more[free & (x < 500050.0)] == pytest.approx(0.06 - own, abs=1e-5)  # of the library
     assert more[free & (x > 500050.0)] == pytest.approx(0.2 - own, abs=1e-5)  # Carvill, sand
     assert [layer["resolution_m"] for layer in layered.provenance["layers"]] == [2.0, 0.5]
 
