@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,6 +161,13 @@ def speeds_along(
     made_of = lattice.provenance.get("heightmap", {}).get("hash")
     if made_of is not None and made_of != ground.data_hash:
         raise InputError("this is not the heightmap that the cost map was made of", expected=made_of)
+    made = lattice.provenance.get("layers", [])
+    if _layers(made) != (over := _layers(ground.layers.as_list())):
+        words = [", ".join(role for role, _ in each) or "no layers" for each in (_layers(made), over)]
+        raise InputError(
+            f"the cost map was made with {words[0]} over its heightmap, this one has {words[1]}: give the same layers",
+            expected=words[0],
+        )
     made_by, asked = lattice.provenance.get("model"), predictor.provenance()
     if made_by is not None and any(made_by.get(key) != asked.get(key) for key in ("kind", "version")):
         raise InputError(
@@ -190,6 +198,11 @@ def speeds_along(
     declared = own if low <= robot.speed_mps <= high else None
     found = metres.profile(np.linspace(low, high, SPEEDS), deadline_s) if by_stretch or deadline_s is not None else None
     return Speeds(tuple(curve), best, declared, source, at_border, found)
+
+
+def _layers(of: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """What each layer is of, and the hash of its data."""
+    return sorted((layer["role"], str(layer["hash"])) for layer in of)
 
 
 class _Metres:
@@ -232,7 +245,8 @@ class _Metres:
             heights = ground_of(self._ground, _window(self._lattice, ends), self._lattice.robot)
             x, y = (0.5 * (ends[1:] + ends[:-1])).T
             for k, robot in enumerate(robots):
-                out[k, part] = self._predictor.segment_traction(heights, robot, x, y, self._heading[part])
+                traction = self._predictor.segment_traction(heights, robot, x, y, self._heading[part])
+                out[k, part] = heights.layers.priced(traction, x, y, self._heading[part])
         if not np.isfinite(out).any(axis=1).all():
             raise InputError(
                 "the model knows nothing of the ground along this route", length_m=float(self._driven.sum())

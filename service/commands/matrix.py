@@ -51,6 +51,8 @@ def matrix(
     from joulemap.service.questions.matrix import MatrixRequest, answer, ask
 
     output = Output(json_file)
+    if goals is None and "only_cheapest" in wanted:
+        raise typer.BadParameter("--only-cheapest needs --goals: of the starts each is its own cheapest goal")
 
     def _asked(frame: Any) -> dict[str, Any]:
         values, notes = wanted.on(frame)
@@ -68,6 +70,8 @@ def matrix(
         with progress_bar("Matrix") as report:
             asked = MatrixRequest.of(**_asked(ground.lattice.frame))
             found = answer(ask(ground.planner, asked, progress=report), ground.warnings)
+    if goals is None:  # a place is no goal of itself
+        found["cheapest"] = [_cheapest_other(row, k) for k, row in enumerate(found["energies_j"])]
     if out is not None:
         write_file(out, _table(found).encode())
     energies = found["energies_j"]
@@ -80,6 +84,11 @@ def matrix(
     output.table(rows | ({} if out is None else {"written": str(out)}))
     output.warn(found["warnings"])
     output.document({**found, "out": None if out is None else str(out)})
+
+
+def _cheapest_other(energies: list[float | None], own: int) -> int | None:
+    known = [(energy, k) for k, energy in enumerate(energies) if energy is not None and k != own]
+    return min(known)[1] if known else None
 
 
 def _table(found: dict[str, Any]) -> str:

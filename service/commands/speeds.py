@@ -9,7 +9,7 @@ import typer
 
 from joulemap.service.commands.asked import Wanted
 from joulemap.service.commands.console import JsonFile, Output
-from joulemap.service.commands.options import ModelName, Reading, there
+from joulemap.service.commands.options import ModelName, ReadingWithLayers, there
 from joulemap.service.commands.remote import Key, MapOrId, Server, served
 from joulemap.service.words import duration_words, energy_words
 
@@ -28,7 +28,7 @@ def speeds(
     key: Key = None,
     json_file: JsonFile = None,
     *,
-    reading: Reading,
+    reading: ReadingWithLayers,
 ) -> None:
     """Find the **cheapest cruising speed** of a route, and what time costs in energy.
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import DamagedError
+from joulemap.service.storage.heightmaps import layers_asked
 from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.stats import noise_of_stats
 from joulemap.service.storage.store import Store
@@ -34,7 +34,7 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
     order = MapOrder(
         place=store.lattice_path(row.id).resolve(),
         heightmap=store.heightmap_path(row.heightmap_id).resolve(),
-        reading={"filename": survey.name, **noise_of_stats(survey.stats), **_over(asked)},
+        reading={"filename": survey.name, **noise_of_stats(survey.stats), **layers_asked(asked)},
         robot=asked["robot"],
         model=asked["model"],
         spacing_m=asked["spacing_m"],
@@ -45,12 +45,6 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
     if isinstance(store.vault, ObjectVault):  # what other machines have finished is no file here
         return VaultedOrder(store.vault.url, store.folder.resolve(), order)
     return replace(order, finished=tuple(_intact(store, store.alike(row))))
-
-
-def _over(asked: Mapping[str, Any]) -> dict[str, Any]:
-    """The layers that were asked for, as a heightmap is read with them."""
-    sent = {role: json.dumps(polygons).encode() for role, polygons in asked.get("layers", {}).items()}
-    return {"layers": sent, "legend": asked["legend"] or None} if sent else {}
 
 
 def _intact(store: Store, costmap_ids: Iterable[str]) -> Iterator[Path]:

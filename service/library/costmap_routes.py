@@ -23,6 +23,7 @@ from joulemap.service.questions.given import battery_with, checked
 from joulemap.service.questions.matrix import EnergyMatrix, MatrixRequest
 from joulemap.service.questions.parts import BatteryIn, battery_of
 from joulemap.service.questions.path import PathRequest
+from joulemap.service.questions.speeds import SpeedsRequest
 from joulemap.service.questions.tour import TourRequest
 
 if TYPE_CHECKING:
@@ -234,6 +235,8 @@ class RouteQuestions(CostMapBase):
         """
         if isinstance(route, PlannedRoute):
             route = route.route
+        ends = route.points[[0, -1], :2] if isinstance(route, Route) else route
+        wanted = checked(SpeedsRequest, {"path": ends, "by_stretch": by_stretch, "deadline_s": deadline_s})
         if not isinstance(route, Route):
             route = price_given_path(self.lattice, Places(self.lattice.frame).path(list(route)))
         # readers and models load slowly, and most questions to a cost map need none
@@ -242,4 +245,5 @@ class RouteQuestions(CostMapBase):
         from joulemap.service.speeds import speeds_along
 
         made_of, predictor = ground_of(heightmap), find_predictor(model_folder(model))
-        return speeds_along(route, self.lattice, made_of, predictor, by_stretch=by_stretch, deadline_s=deadline_s)
+        how = {"by_stretch": wanted.by_stretch, "deadline_s": wanted.deadline_s}
+        return speeds_along(route, self.lattice, made_of, predictor, **how)

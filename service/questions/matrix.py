@@ -120,6 +120,8 @@ def ask(planner: AnyPlanner, wanted: MatrixRequest, *, progress: Callable[[float
     if odds is not None and wanted.battery is not None:
         battery = battery_of(wanted.battery, lattice.robot)
         lasts = _spread(odds.lasts(battery.available_j), 0.0)
+    if odds is None and wanted.battery is not None:
+        notes = [*notes, "the model does not know its uncertainty, so nothing is said of whether the battery lasts"]
     notes = tuple(dict.fromkeys([*asked.places.notes, *notes]))
     return EnergyMatrix(found.energies_j, found.lengths_m, found.reasons, low, high, lasts, notes, lattice.frame.crs)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,12 @@ from joulemap.service.storage.tables import (
 )
 
 
+def layers_asked(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the layers of the request of a cost map, as a heightmap is read with them."""
+    sent = {role: json.dumps(polygons).encode() for role, polygons in asked.get("layers", {}).items()}
+    return {"layers": sent, "legend": asked["legend"] or None} if sent else {}
+
+
 class KeptHeightmaps(Kept):
     """Rows of heightmaps, and a GeoTIFF of each."""
 
@@ -43,14 +51,16 @@ class KeptHeightmaps(Kept):
         """Return the row of a heightmap. Raises NotFoundError if there is none."""
         return self._row(HeightmapRow, "is no heightmap", heightmap_id=heightmap_id)
 
-    def open_heightmap(self, heightmap_id: str) -> Ground:
-        """Open a heightmap to read it by windows.
+    def open_heightmap(self, heightmap_id: str, asked: Mapping[str, Any] | None = None) -> Ground:
+        """Open a heightmap to read it by windows, with the layers of the request of a cost map.
 
         Result: whose heights are read as they are needed. Raises NotFoundError if there is none.
         """
         row = self.heightmap(heightmap_id)
         path = self.here(self.heightmap_path(heightmap_id))
-        return open_ground(path, filename=row.name, alone=True, **noise_of_stats(row.stats))
+        return open_ground(
+            path, filename=row.name, alone=True, **noise_of_stats(row.stats), **layers_asked(asked or {})
+        )
 
     def heightmaps(self, *, limit: int, offset: int) -> tuple[list[HeightmapRow], int]:
         """Return one page of the heightmaps, newest first.

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import joulemap as jm
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
@@ -118,3 +119,22 @@ def test_what_is_no_layer_is_refused_at_once(client, files, layers, said):
     answer = client.post("/v1/costmaps", json={"heightmap_id": sent["id"], "model": "physics", "layers": layers})
     assert answer.status_code == 422
     assert said in answer.text
+
+
+def test_speeds_are_judged_on_the_layers_of_the_cost_map(client):
+    level = Heightmap(np.zeros(FRAME.shape, dtype=np.float32), FRAME)
+    sent = client.post("/v1/heightmaps", content=write_geotiff(None, level)).json()
+    over = {
+        "factor": collection(polygon(0, 0, 60, 60, factor=2.0)),
+        "cost": collection(polygon(0, 0, 60, 60, cost=5.0)),
+    }
+    asked = {"heightmap_id": sent["id"], "model": "default", "layers": over}
+    about = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=300"}).json()
+    ends = {name: [FRAME.bounds[0] + x, FRAME.bounds[1] + 30.0] for name, x in (("start", 10.0), ("goal", 30.0))}
+    path = client.post(f"/v1/costmaps/{about['id']}/paths", json=ends).json()
+    speeds = client.post(f"/v1/costmaps/{about['id']}/speeds", json=ends).json()
+    assert speeds["declared"]["energy_j"] == pytest.approx(path["energy_j"], rel=1e-3)
+    costs = jm.costmap(jm.with_layers(level, **over))
+    route = costs.plan(ends["start"], ends["goal"])
+    with pytest.raises(jm.JoulemapError, match="made with cost, factor over its heightmap, this one has no layers"):
+        costs.speeds(route, level)

@@ -110,3 +110,18 @@ def test_no_other_choice_of_speeds_costs_less(regeneration: float) -> None:
     assert hurried.duration_s <= deadline
     rivals = [e for chosen, e in every.items() if times[chosen] <= hurried.duration_s + 1e-9]
     assert hurried.energy_j == pytest.approx(min(rivals))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"deadline_s": float("nan")}, "finite number"),
+        ({"deadline_s": -5.0}, "greater than 0"),
+        ({"route": []}, "path"),
+    ],
+)
+def test_values_are_checked_as_over_http(given: dict[str, object], said: str) -> None:
+    costs = CostMap(build_lattice(PLAIN, jm.Robot(), with_drag(0.4, 1.8)))
+    values = {"route": [(3.0, 10.0), (27.0, 10.0)], **given}
+    with pytest.raises(InputError, match=said):
+        costs.speeds(values.pop("route"), PLAIN, **values)

@@ -194,7 +194,7 @@ async def find_speeds(costmap_id: str, wanted: SpeedsRequest, service: KernelsDe
     def _find() -> Response:
         row = service.done_costmap(costmap_id)
         how: dict[str, Any] = {
-            "ground": service.store.open_heightmap(row.heightmap_id),
+            "ground": service.store.open_heightmap(row.heightmap_id, row.request),
             "predictor": service.find_predictor(row.request["model"]),
         }
         return _answered(speeds, service, costmap_id, wanted, _whole(service), **how)
