@@ -245,5 +245,7 @@ class RouteQuestions(CostMapBase):
         from joulemap.service.speeds import speeds_along
 
         made_of, predictor = ground_of(heightmap), find_predictor(model_folder(model))
-        how = {"by_stretch": wanted.by_stretch, "deadline_s": wanted.deadline_s}
-        return speeds_along(route, self.lattice, made_of, predictor, **how)
+        deadline_s = wanted.deadline_s
+        return speeds_along(
+            route, self.lattice, made_of, predictor, by_stretch=wanted.by_stretch, deadline_s=deadline_s
+        )

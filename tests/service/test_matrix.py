@@ -114,6 +114,11 @@ def test_every_face_answers_alike(costs: jm.CostMap, costmap: Any, tmp_path: Pat
     assert float(lines[1]["energy_j"]) == pytest.approx(here.energies_j[0, 1], rel=1e-9)
     assert lines[2]["energy_j"] == ""
     assert "blocked ground" in lines[2]["reason"]
+    starts.write_text("x_m,y_m\n" + "".join(f"{x},{y}\n" for x, y in (START, GOAL)))
+    assert joulemap("matrix", folder, starts, "--json", document)[0] == 0
+    assert json.loads(document.read_text())["cheapest"] == [1, 0]  # a place is no goal of itself
+    code, _, errors = joulemap("matrix", folder, starts, "--only-cheapest")
+    assert (code, "needs --goals" in errors) == (2, True)
 
 
 def test_a_map_on_disk_says_that_it_cannot(costs: jm.CostMap, tmp_path: Path) -> None:
