@@ -27,7 +27,7 @@ class Grid(NamedTuple):
 
 def says_where(array: Any) -> bool:
     """Whether an object is a DataArray with coordinates of both axes; without them it is an array."""
-    if not (hasattr(array, "coords") and hasattr(array, "dims")):
+    if not (hasattr(array, "dims") and hasattr(array, "coords")):  # in this order: polygons of shapely fail at `coords`
         return False
     return all(any(name in array.coords for name in names) for names in (_ACROSS, _ALONG))
 

@@ -59,7 +59,7 @@ def with_layers(
     factor : layer, optional
         By which the energy that motion needs is multiplied, on top of what the model says.
     cost : layer or callable, optional
-        Energy that is added [J/m], as numbers, or as a function of x, y [m] and heading [rad] of n places.
+        Energy that is added [J/m], not below 0, as numbers, or as a function of x, y [m] and heading [rad] of n places.
     legend : dict, str or Path, optional
         A table for every kind of ground, or their TOML file: `value`, and `rolling_resistance` or `factor` with its
         `std`, or `blocked`. What is left out is that of the kind of this name in the library.
@@ -91,7 +91,7 @@ def with_layers(
         _layer(role, one, found.frame, names)
         for role, value in given.items()
         if value is not None
-        for one in (value if isinstance(value, list) else [value])
+        for one in _several(value)
     ]
     return replace(found, layers=Layers(tuple(layers)))
 
@@ -100,6 +100,18 @@ def _legend(legend: LegendLike) -> Legend | None:
     if legend is None:
         return None
     return legend_of(legend) if isinstance(legend, Mapping) else read_legend(legend)
+
+
+def _several(value: Any) -> list[Any]:
+    """The layers of one role: bare polygons in a list are one."""
+    if not isinstance(value, list):
+        return [value]
+    return [value] if value and all(_is_shape(one) for one in value) else value
+
+
+def _is_shape(value: Any) -> bool:
+    """Whether it is a geometry of shapely, without properties and CRS."""
+    return hasattr(value, "__geo_interface__") and hasattr(value, "geom_type") and not hasattr(value, "crs")
 
 
 def _layer(role: str, value: LayerLike, ground: GridFrame, legend: Legend | None) -> Layer:
@@ -113,8 +125,8 @@ def _layer(role: str, value: LayerLike, ground: GridFrame, legend: Legend | None
         return Layer(role, f"the function {getattr(value, '__name__', type(value).__name__)}", function=value)
     if says_where(value):
         return layer_of(role, _of_data_array(value), ground, legend=legend, source=str(value.name or "DataArray"))
-    if hasattr(value, "__geo_interface__") or isinstance(value, Mapping):
-        return polygon_layer(role, _document(role, value, ground), ground, legend=legend)
+    if hasattr(value, "__geo_interface__") or isinstance(value, Mapping | list):
+        return polygon_layer(role, _document(role, value, ground), ground, legend=legend, source=f"the layer of {role}")
     return array_layer(role, np.asarray(value), ground, legend=legend)
 
 
@@ -140,9 +152,12 @@ def _document(role: str, value: Any, ground: GridFrame) -> Mapping[str, Any]:
         return areas_document(
             [(shape, {"kind": name}) for name, areas in value.items() for shape in _shapes(areas, ground)]
         )
-    own = getattr(value, "crs", None)
-    there = value.to_crs(ground.crs) if own is not None and ground.crs is not None else value
-    found = there.__geo_interface__
+    if isinstance(value, list):
+        found: Mapping[str, Any] = areas_document([(shape.__geo_interface__, {}) for shape in value])
+    else:
+        own = getattr(value, "crs", None)
+        there = value.to_crs(ground.crs) if own is not None and ground.crs is not None else value
+        found = there.__geo_interface__
     return {**found, "crs": {"properties": {"name": ground.crs}}} if ground.crs is not None else dict(found)
 
 

@@ -110,7 +110,10 @@ def test_over_http(client, files):
         ({"obstacles": {"type": "Point", "coordinates": [1.0, 2.0]}}, "Point"),
         ({"kinds": WALL}, "does not say its kinds"),
         ({"obstacles": {"type": "FeatureCollection"}}, "no GeoJSON"),
-        ({"factor": collection(polygon(0, 0, 9, 9, factor=-1))}, "below 0"),
+        ({"factor": collection(polygon(0, 0, 9, 9, factor=-1))}, "the limits are 0 and 100"),
+        ({"cost": collection(polygon(0, 0, 9, 9, cost=1e308))}, "the layer of cost"),
+        ({"kinds": collection(polygon(0, 0, 9, 9, kind={"a": 1}))}, "the layer of kinds"),
+        ({"obstacles": {"type": "Feature", "properties": {}, "geometry": None}}, "has no geometry"),
         ({"obstacles": collection(polygon(50, 50, 60, 60))}, "lies on the heightmap"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import rasterio
 from rasterio.transform import from_origin
 from rasterio.warp import transform_bounds
-from shapely.geometry import box
+from shapely.geometry import MultiPolygon, Polygon, box
 
 import joulemap as jm
 from joulemap.model.energy.physics import PhysicsPredictor
@@ -144,7 +145,7 @@ def test_factors_and_costs_come_on_top_and_a_function_may_depend_on_the_heading(
     assert price_at(costs, 30.5, 20.5) == pytest.approx(eq5(0.1), rel=1e-5)
     assert price_at(costs, 10.5, 20.5) == pytest.approx(eq5(0.05), rel=1e-5)
     headwind = jm.costmap(
-        jm.with_layers(ground, cost=lambda x, y, heading: 5.0 * np.cos(heading)), ROBOT, model="physics"
+        jm.with_layers(ground, cost=lambda x, y, heading: 5.0 * (1.0 + np.cos(heading))), ROBOT, model="physics"
     )
     along = headwind.at(WEST + 20.5, NORTH - 20.5).energy_per_m
     assert along[0] - along[8] == pytest.approx(10.0, rel=1e-4)
@@ -200,7 +201,7 @@ def test_what_cannot_be_a_layer_is_refused_with_the_value(land, tmp_path):
         jm.with_layers(jm.heightmap(np.zeros((9, 9)), resolution_m=1.0, crs=CRS), kinds=land, legend=LEGEND)
     with pytest.raises(InputError, match="'colour'"):
         jm.with_layers(ground, kinds=land, legend={"grass": {"value": 1, "colour": "green"}})
-    with pytest.raises(InputError, match="below 0"):
+    with pytest.raises(InputError, match="factor in array is -1, and the limits are 0"):
         jm.with_layers(ground, factor=np.full(ground.frame.shape, -1.0))
 
 
@@ -239,3 +240,74 @@ def test_a_map_of_nav2_lies_where_its_origin_and_yaw_say(mode, tmp_path):
     assert _closed(places, obstacles=tmp_path / "turned.yaml") == [False, False, True, False]
     known = _closed(((3, 18), (3, 3), (28, 3), (35, 3)), free=tmp_path / "yard.yaml")
     assert known == [True, False, True, True]  # unknown and what lies outside are closed
+
+
+def test_polygons_of_shapely_are_obstacles_each_alone_together_and_in_a_list():
+    one = box(WEST + 4.0, NORTH - 8.0, WEST + 8.0, NORTH - 4.0)
+    other = box(WEST + 20.0, NORTH - 8.0, WEST + 24.0, NORTH - 4.0)
+    for given, closed in ((one, 1), (MultiPolygon([one, other]), 2), ([one, other], 2)):
+        (layer,) = jm.with_layers(level(), obstacles=given).layers.each
+        assert layer.is_closed(WEST + np.array([6.0, 22.0]), NORTH - 6.0).tolist() == [True, closed == 2]
+
+
+@pytest.mark.parametrize("role", ["factor", "cost"])
+@pytest.mark.parametrize("value", [math.inf, 1e39, 1e308, -1.0])
+def test_numbers_beyond_the_limits_are_refused_in_every_shape(role, value):
+    ground = level()
+    values = np.full(ground.frame.shape, np.nan)
+    values[3, 4] = value
+    area = box(WEST + 4.0, NORTH - 8.0, WEST + 8.0, NORTH - 4.0).__geo_interface__
+    for given in (values, {"type": "Feature", "properties": {role: value}, "geometry": area}):
+        with pytest.raises(InputError, match=f"{role} in .* is .*the limits are 0 and 1") as refused:
+            jm.with_layers(ground, **{role: given})
+        assert refused.value.context["value"] == str(float(value))
+    if role == "cost":
+        with pytest.raises(InputError, match="the limits are 0 and"):
+            jm.costmap(jm.with_layers(ground, cost=lambda x, y, heading: x * 0.0 + value), ROBOT, model="physics")
+
+
+def feature(ring: object, **properties: object) -> dict:
+    return {"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+
+
+RING = [[WEST, NORTH], [WEST + 9.0, NORTH], [WEST + 9.0, NORTH - 9.0], [WEST, NORTH - 9.0], [WEST, NORTH]]
+
+
+def test_a_ring_is_closed_and_a_crs_may_be_its_name_alone():
+    for given in (feature(RING[:-1]), feature(RING) | {"crs": CRS}):
+        (layer,) = jm.with_layers(level(), obstacles=given).layers.each
+        assert layer.is_closed(WEST + 5.0, NORTH - 5.0)
+
+
+@pytest.mark.parametrize(
+    ("role", "given", "said"),
+    [
+        ("obstacles", feature([[WEST - 4e9, NORTH], [WEST + 4e9, NORTH], [WEST, NORTH - 9e9]]), "limit is 1e"),
+        ("obstacles", feature([RING[0], RING[1], RING[0]]), "2 different corners"),
+        ("obstacles", feature([]), "without corners"),
+        ("obstacles", feature([["a", "b"]]), "not two numbers"),
+        ("obstacles", {"type": "Polygon", "coordinates": []}, "without corners"),
+        ("obstacles", Polygon(), "without corners"),
+        ("obstacles", {"type": "Feature", "properties": {}, "geometry": None}, "no geometry"),
+        ("obstacles", {"type": "GeometryCollection", "geometries": []}, "GeometryCollection"),
+        ("obstacles", {"type": "FeatureCollection", "features": []}, "no polygons"),
+        ("obstacles", feature(RING) | {"crs": {"properties": {"name": 32630}}}, "crs of .* is 32630"),
+        ("kinds", feature(RING, kind={"a": 1}), "kind .* give a name"),
+        ("kinds", feature(RING, kind="m" * 101), "101 letters"),
+        ("factor", feature(RING, factor="abc"), "'abc', which is no number"),
+        ("cost", feature(RING, cost=[1]), "which is no number"),
+    ],
+)
+def test_polygons_that_cannot_be_drawn_are_refused_in_one_sentence(role, given, said):
+    with pytest.raises(InputError) as refused:
+        jm.with_layers(level(), **{role: given})
+    assert re.search(said, str(refused.value)), str(refused.value)
+    assert f"the layer of {role}" in str(refused.value)
+
+
+@pytest.mark.parametrize("key", ["kind", "DN", "value"])
+def test_a_number_means_the_kind_that_has_it_in_the_legend(key):
+    (layer,) = jm.with_layers(level(), kinds=feature(RING, **{key: 2}), legend=LEGEND).layers.each
+    assert layer.kinds[layer.at(WEST + 5.0, NORTH - 5.0)].name == "mud"
+    with pytest.raises(InputError, match="kind 9, which is no value of the legend"):
+        jm.with_layers(level(), kinds=feature(RING, **{key: 9}), legend=LEGEND)

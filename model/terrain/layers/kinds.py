@@ -17,6 +17,8 @@ from joulemap.model.robot import Robot
 _FIELDS = ("value", "rolling_resistance", "factor", "std", "blocked", "source")
 MOST_KINDS = 1000
 """Of a legend; land cover maps have ten to fifty."""
+MOST_LETTERS = 100
+"""Of the name of a kind of ground."""
 MOST_RESISTANCE, MOST_FACTOR = 2.0, 100.0
 """A force of more than twice the weight is no rolling, and a hundred times the energy no ground that one drives on."""
 
@@ -51,6 +53,10 @@ class Kind:
     def __post_init__(self) -> None:
         if not self.name:
             raise InputError("a kind of ground has no name")
+        if len(self.name) > MOST_LETTERS:
+            raise InputError(
+                f"the name of the kind of ground {self.name[:20]!r}... has {len(self.name)} letters; at most {MOST_LETTERS}"
+            )
         if self.rolling_resistance is not None and self.factor is not None:
             raise InputError(
                 f"the kind of ground {self.name!r} has a rolling_resistance and a factor: give one of them"

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
-from joulemap.model.terrain.layers.kinds import Kind
+from joulemap.model.terrain.layers.kinds import MOST_FACTOR, Kind
 
 KINDS, OBSTACLES, FREE, FACTOR, COST = "kinds", "obstacles", "free", "factor", "cost"
 ROLES = {
@@ -25,6 +25,9 @@ ROLES = {
     COST: "energy that is added [J/m]",
 }
 """What a layer may be of."""
+
+LIMITS = {FACTOR: (0.0, MOST_FACTOR), COST: (0.0, 1e6)}
+"""Of the numbers of a layer. Below 0 driving would give energy; 1 MJ/m lifts a tonne by a hundred metres."""
 
 CostFunction = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], ArrayLike]
 """Of x, y [m] and heading [rad] of n places: what is added there [J/m], (n,)."""
@@ -61,11 +64,9 @@ class Layer:
     def __post_init__(self) -> None:
         if self.role not in ROLES:
             raise InputError(f"there is no layer of {self.role!r}: known are {', '.join(ROLES)}", role=self.role)
-        if self.role == FACTOR and self.values is not None and np.nanmin(self.values, initial=1.0) < 0.0:
-            raise InputError(
-                f"a factor in {self.source} is {np.nanmin(self.values):g}: below 0 driving would give energy",
-                limit=0.0,
-            )
+        if self.role in LIMITS and self.values is not None:
+            check_numbers(self.role, self.values, self.source)
+            object.__setattr__(self, "values", self.values.astype(np.float32))
 
     def at(self, x: ArrayLike, y: ArrayLike) -> NDArray[Any]:
         """Return the values of the cells that hold world points [m]; outside the layer it knows nothing.
@@ -126,3 +127,31 @@ class Layer:
         if self.frame is not None:
             out["resolution_m"] = self.frame.resolution_m
         return out | ({"kinds": [kind.as_dict() for kind in self.kinds]} if self.kinds else {})
+
+
+def check_numbers(role: str, values: NDArray[Any], source: str) -> None:
+    """Refuse a factor or a cost beyond its limits; NaN is unknown.
+
+    Parameters
+    ----------
+    role : str
+        FACTOR or COST.
+    values : ndarray
+        Its numbers.
+    source : str
+        The layer, in words.
+
+    Raises
+    ------
+    InputError
+        With the first number that is beyond, and the limits.
+    """
+    low, high = LIMITS[role]
+    beyond = values[(values < low) | (values > high)]
+    if beyond.size:
+        unit = " J/m" if role == COST else ""
+        raise InputError(
+            f"a {role} in {source} is {float(beyond[0]):g}{unit}, and the limits are {low:g} and {high:g}{unit}",
+            value=str(float(beyond[0])),
+            limit=[low, high],
+        )

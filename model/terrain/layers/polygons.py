@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,14 +16,15 @@ from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.crs_text import known_crs
-from joulemap.model.terrain.layers.kinds import Legend, legend_of, named_kinds, plain_name
-from joulemap.model.terrain.layers.layer import FACTOR, FREE, KINDS, OBSTACLES, Layer
+from joulemap.model.terrain.layers.geojson import check_reach, corners_of, named_crs, polygons_of
+from joulemap.model.terrain.layers.kinds import MOST_KINDS, MOST_LETTERS, Legend, legend_of, named_kinds, plain_name
+from joulemap.model.terrain.layers.layer import FREE, KINDS, OBSTACLES, Layer, check_numbers
 from joulemap.model.terrain.readers import source_of
 
 MOST_CORNERS = 200_000
 """Of all polygons of a request: drawing so many takes a second."""
-_NAMES = ("kind", "name", "class", "surface")
-"""Properties of a feature that name its kind of ground, the first that is there."""
+_NAMES = ("kind", "name", "class", "surface", "value", "DN")
+"""Properties of a feature that say its kind of ground, the first that is there; `DN` is that of gdal_polygonize."""
 
 
 def polygon_layer(
@@ -37,16 +38,14 @@ def polygon_layer(
     from rasterio.features import rasterize  # loads slowly
     from rasterio.warp import transform_geom
 
-    named = _named_crs(document, ground)
+    found = polygons_of(document, source)
+    named = named_crs(document, found, ground, source)
     shapes: list[tuple[Any, Any]] = []
-    for geometry, properties in _features(document):
-        if geometry.get("type") not in ("Polygon", "MultiPolygon"):
-            raise InputError(f"{source} holds a {geometry.get('type')}: a layer is of polygons")
+    for geometry, properties in found:
         if named is not None and ground.crs is not None:
-            geometry = transform_geom(known_crs(named), known_crs(ground.crs), dict(geometry))
-        shapes.append((geometry, _meant(role, properties, source)))
-    if not shapes:
-        raise InputError(f"{source} holds no polygons")
+            geometry = transform_geom(known_crs(named), known_crs(ground.crs), geometry)
+        check_reach(geometry, source)
+        shapes.append((geometry, _meant(role, properties, source, legend)))
     if not any(_meets(geometry, ground) for geometry, _ in shapes):
         raise InputError(f"no polygon of {source} lies on the heightmap: are they in its CRS, {ground.crs_in_words}?")
     transform = Affine(ground.resolution_m, 0.0, ground.west_m, 0.0, -ground.resolution_m, ground.north_m)
@@ -55,6 +54,8 @@ def polygon_layer(
     if role == KINDS:
         given = () if legend is None else legend.kinds
         known = {kind.name: kind for kind in (*named_kinds(meant for _, meant in shapes).kinds, *given)}
+        if len(known) > MOST_KINDS:
+            raise InputError(f"{source} has {len(known)} kinds of ground; at most {MOST_KINDS} can be taken")
         kinds, usual = tuple(known.values()), -1
         numbers = {name: k for k, name in enumerate(known)}
         shapes = [(geometry, numbers[meant]) for geometry, meant in shapes]
@@ -66,11 +67,11 @@ def polygon_layer(
     if role in (OBSTACLES, FREE):
         inside = ~np.isnan(drawn)
         return Layer(role, source, ground, inside if role == OBSTACLES else ~inside)
-    return Layer(role, source, ground, drawn.astype(np.float32))
+    return Layer(role, source, ground, drawn)
 
 
 def _meets(geometry: Mapping[str, Any], ground: GridFrame) -> bool:
-    corners = np.array(list(_corners(geometry["coordinates"])))
+    corners = np.array(list(corners_of(geometry)))
     west, south, east, north = ground.bounds
     (low_x, low_y), (high_x, high_y) = corners.min(axis=0), corners.max(axis=0)
     return bool(low_x < east and high_x > west and low_y < north and high_y > south)
@@ -81,18 +82,14 @@ def check_polygons(sent: Mapping[str, Mapping[str, Any]], ground: GridFrame, leg
     named, count, side_m = legend_of(legend) if legend else None, 0, ground.bounds[2] - ground.west_m
     whole = replace(ground, resolution_m=side_m, rows=1, cols=1)
     for role, document in sent.items():
-        try:
-            count += sum(1 for geometry, _ in _features(document) for _ in _corners(geometry["coordinates"]))
-            if count > MOST_CORNERS:
-                raise InputError(
-                    f"the layers have more than {MOST_CORNERS:,} corners: simplify them", limit=MOST_CORNERS
-                )
-            polygon_layer(role, document, whole, legend=named, source=f"the layer of {role}")
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"the layer of {role} is no GeoJSON with polygons: {error!r:.200}", role=role) from error
+        source = f"the layer of {role}"
+        count += sum(1 for geometry, _ in polygons_of(document, source) for _ in corners_of(geometry))
+        if count > MOST_CORNERS:
+            raise InputError(f"the layers have more than {MOST_CORNERS:,} corners: simplify them", limit=MOST_CORNERS)
+        polygon_layer(role, document, whole, legend=named, source=source)
 
 
-def _meant(role: str, properties: Mapping[str, Any], source: str) -> Any:
+def _meant(role: str, properties: Mapping[str, Any], source: str, legend: Legend | None) -> Any:
     if role in (OBSTACLES, FREE):
         return 1.0
     keys = _NAMES if role == KINDS else (role, "value")
@@ -102,43 +99,34 @@ def _meant(role: str, properties: Mapping[str, Any], source: str) -> Any:
             f"a polygon of {source} does not say its {role}: give it the property {keys[0]!r}", key=keys[0]
         )
     if role == KINDS:
-        return plain_name(value)
-    if not math.isfinite(number := float(value)):
-        raise InputError(f"a polygon of {source} has the {role} {value!r}, which is no finite number")
-    if role == FACTOR and number < 0.0:
-        raise InputError(f"a factor in {source} is {number:g}: below 0 driving would give energy", limit=0.0)
+        return _kind_meant(value, source, legend)
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"a polygon of {source} has the {role} {value!r:.60}, which is no number") from error
+    if math.isnan(number):
+        raise InputError(f"a polygon of {source} has the {role} {number}, which is no number")
+    check_numbers(role, np.array(number), source)
     return number
 
 
-def _features(document: Mapping[str, Any]) -> Iterator[tuple[Mapping[str, Any], Mapping[str, Any]]]:
-    kind = document.get("type")
-    if kind == "FeatureCollection":
-        for feature in document["features"]:
-            yield from _features(feature)
-    elif kind == "Feature":
-        yield document["geometry"], document.get("properties") or {}
-    else:
-        yield document, {}
-
-
-def _named_crs(document: Mapping[str, Any], ground: GridFrame) -> str | None:
-    """The CRS of GeoJSON: what it names, or else degrees where it looks so and the map has another (RFC 7946)."""
-    named = (document.get("crs") or {}).get("properties", {}).get("name")
-    if named is not None:
-        return str(named)
-    corners = [corner for geometry, _ in _features(document) for corner in _corners(geometry.get("coordinates", ()))]
-    west, south, east, north = ground.bounds
-    degrees = all(abs(x) <= 180.0 and abs(y) <= 90.0 for x, y in corners)
-    inside = any(west <= x <= east and south <= y <= north for x, y in corners)
-    return "EPSG:4326" if degrees and not inside and ground.crs is not None else None
-
-
-def _corners(nested: Any) -> Iterator[tuple[float, float]]:
-    if nested and isinstance(nested[0], int | float):
-        yield float(nested[0]), float(nested[1])
-    else:
-        for part in nested:
-            yield from _corners(part)
+def _kind_meant(value: Any, source: str, legend: Legend | None) -> str:
+    """The name of a kind of ground: as it is given, or by its value in the legend."""
+    if isinstance(value, str):
+        if not 0 < len(name := plain_name(value)) <= MOST_LETTERS:
+            raise InputError(
+                f"a kind of ground in {source} has a name of {len(name)} letters: give 1 to {MOST_LETTERS}"
+            )
+        return name
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise InputError(f"a polygon of {source} has the kind {value!r:.60}: give a name, or a value of the legend")
+    if legend is None or value not in legend.values:
+        raise InputError(
+            f"a polygon of {source} has the kind {value:g}, which is no value of the legend: give its kind a table "
+            f"with value = {value:g}",
+            value=str(value),
+        )
+    return legend.kinds[legend.values[int(value)]].name
 
 
 def read_document(path: str | Path) -> Mapping[str, Any]:

@@ -89,7 +89,7 @@ def layer_of(
     if role in (OBSTACLES, FREE):
         occupied = np.nan_to_num(values, nan=0.0) != 0.0
         return Layer(role, source, frame, occupied if role == OBSTACLES else ~occupied)
-    return Layer(role, source, frame, values.astype(np.float32))
+    return Layer(role, source, frame, values)
 
 
 def array_layer(role: str, values: NDArray[Any], ground: GridFrame, *, legend: Legend | None = None) -> Layer:

@@ -14,7 +14,7 @@ from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.layers.kinds import Kind
-from joulemap.model.terrain.layers.layer import COST, FACTOR, FREE, KINDS, Layer
+from joulemap.model.terrain.layers.layer import COST, FACTOR, FREE, KINDS, Layer, check_numbers
 
 _PLACES = 100_000  # of a map, for shares
 _INSIDE = 1e-6  # of a square: what only touches it is not in it
@@ -269,11 +269,12 @@ def _asked(layer: Layer, shape: tuple[int, ...], *places: ArrayLike) -> NDArray[
     assert layer.function is not None
     x, y, heading = (np.ascontiguousarray(np.broadcast_to(a, shape), dtype=np.float64).ravel() for a in places)
     cost = np.asarray(layer.function(x, y, heading), dtype=np.float64)
-    if cost.shape not in ((), x.shape) or not np.isfinite(cost).all():
+    if cost.shape not in ((), x.shape) or np.isnan(cost).any():
         raise InputError(
-            f"the layer {layer.source} returned {cost.shape} values for {x.size} places, or some that are not finite: "
+            f"the layer {layer.source} returned {cost.size} values for {x.size} places, or some that are no numbers: "
             "return one number of J/m for each place"
         )
+    check_numbers(COST, cost, f"the layer {layer.source}")
     return np.broadcast_to(cost, x.shape).reshape(shape)
 
 

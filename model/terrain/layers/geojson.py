@@ -1,0 +1,109 @@
+"""Polygons of GeoJSON as others send them: checked, with every ring closed, and the CRS that they are in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame
+
+MOST_COORDINATE = 1e8
+"""[m]: more than twice round the Earth. GDAL draws nothing of polygons that reach much further."""
+_LEAST_CORNERS = 3
+
+Ring = list[tuple[float, float]]
+
+
+def polygons_of(document: Mapping[str, Any], source: str) -> list[tuple[dict[str, Any], Mapping[str, Any]]]:
+    """Return the polygons of a GeoJSON document with the properties of each, every ring closed.
+
+    Raises InputError, which names `source`, where something else is in it.
+    """
+    found = []
+    for feature in _features(document, source):
+        if not isinstance(feature, Mapping):
+            raise InputError(f"{source} is no GeoJSON with polygons: a feature of it is {_short(feature)}")
+        properties: Any = {}
+        if feature.get("type") == "Feature":
+            feature, properties = feature.get("geometry"), feature.get("properties") or {}
+        if not isinstance(feature, Mapping) or not isinstance(properties, Mapping):
+            raise InputError(f"a feature of {source} has no geometry: leave it out, or give it a polygon")
+        kind, nested = feature.get("type"), feature.get("coordinates")
+        if kind not in ("Polygon", "MultiPolygon"):
+            raise InputError(f"{source} holds a {_short(kind)}: a layer is of polygons")
+        polygons = _list([nested] if kind == "Polygon" else nested, source)
+        rings = [[_ring(ring, source) for ring in _list(polygon, source)] for polygon in polygons]
+        found.append(({"type": "MultiPolygon", "coordinates": rings}, properties))
+    if not found:
+        raise InputError(f"{source} holds no polygons")
+    return found
+
+
+def corners_of(geometry: Mapping[str, Any]) -> Iterator[tuple[float, float]]:
+    """Return the corners of a polygon of `polygons_of`."""
+    return (corner for polygon in geometry["coordinates"] for ring in polygon for corner in ring)
+
+
+def named_crs(
+    document: Mapping[str, Any], polygons: Sequence[tuple[Mapping[str, Any], Any]], ground: GridFrame, source: str
+) -> str | None:
+    """The CRS of GeoJSON: what it names, or else degrees where it looks so and the map has another (RFC 7946)."""
+    crs = document.get("crs")
+    said = crs.get("properties") if isinstance(crs, Mapping) else None
+    name = said.get("name") if isinstance(said, Mapping) else crs
+    if name is not None:
+        if not isinstance(name, str):
+            raise InputError(f"the crs of {source} is {_short(name)}: give its name, such as EPSG:32630")
+        return name
+    corners = [corner for geometry, _ in polygons for corner in corners_of(geometry)]
+    west, south, east, north = ground.bounds
+    degrees = all(abs(x) <= 180.0 and abs(y) <= 90.0 for x, y in corners)
+    inside = any(west <= x <= east and south <= y <= north for x, y in corners)
+    return "EPSG:4326" if degrees and not inside and ground.crs is not None else None
+
+
+def check_reach(geometry: Mapping[str, Any], source: str) -> None:
+    """Refuse a polygon that lies where no map does, which GDAL would leave out. Raises InputError."""
+    far = next((at for corner in corners_of(geometry) for at in corner if not abs(at) <= MOST_COORDINATE), None)
+    if far is not None:
+        raise InputError(
+            f"a polygon of {source} has the coordinate {far:g}, and the limit is {MOST_COORDINATE:g} m",
+            value=str(far),
+            limit=MOST_COORDINATE,
+        )
+
+
+def _features(document: Mapping[str, Any], source: str) -> Sequence[Any]:
+    if not isinstance(document, Mapping):
+        raise InputError(f"{source} is no GeoJSON with polygons, but {_short(document)}")
+    return _list(document.get("features"), source) if document.get("type") == "FeatureCollection" else [document]
+
+
+def _list(nested: Any, source: str) -> Sequence[Any]:
+    if not isinstance(nested, list | tuple):
+        raise InputError(f"{source} is no GeoJSON with polygons: where a list belongs it has {_short(nested)}")
+    if not nested:
+        raise InputError(f"{source} has a polygon without corners, or no polygons")
+    return nested
+
+
+def _ring(ring: Any, source: str) -> Ring:
+    try:
+        corners = [(float(corner[0]), float(corner[1])) for corner in _list(ring, source)]
+    except (TypeError, ValueError, IndexError, KeyError, OverflowError) as error:
+        raise InputError(f"a polygon of {source} has a corner that is not two numbers, x and y") from error
+    if not all(math.isfinite(x) and math.isfinite(y) for x, y in corners):
+        raise InputError(f"a polygon of {source} has a corner that is not finite")
+    distinct = len(set(corners))
+    if distinct < _LEAST_CORNERS:
+        raise InputError(
+            f"a ring of a polygon of {source} has {distinct} different corners: it needs {_LEAST_CORNERS}",
+            corners=distinct,
+        )
+    return corners if corners[0] == corners[-1] else [*corners, corners[0]]
+
+
+def _short(value: Any) -> str:
+    return f"{value!r:.60}"
