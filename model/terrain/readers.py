@@ -200,11 +200,11 @@ def open_ground(path: str | Path, *, alone: bool = False, **options: Any) -> Gro
 def _with_layers(
     ground: Heightmap | HeightmapFile, layers: LayerFiles | None, legend: str | Path | Mapping[str, Any] | None
 ) -> Heightmap | HeightmapFile:
-    if not layers:
+    if not layers and legend is None:
         return ground
     from joulemap.model.terrain.layers.reading import read_layers  # which builds on this module
 
-    return replace(ground, layers=read_layers(layers, ground.frame, legend=legend))
+    return replace(ground, layers=read_layers(layers or {}, ground.frame, legend=legend))
 
 
 def _ground(

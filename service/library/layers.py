@@ -14,7 +14,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.layers import Layer, Layers
 from joulemap.model.terrain.layers.kinds import Legend, legend_of, read_legend
-from joulemap.model.terrain.layers.layer import COST, KINDS
+from joulemap.model.terrain.layers.layer import COST, KINDS, check_legend
 from joulemap.model.terrain.layers.polygons import areas_document, polygon_layer
 from joulemap.model.terrain.layers.reading import array_layer, layer_of, read_layer
 from joulemap.service.library.data_array import says_where
@@ -86,6 +86,7 @@ def with_layers(
     True
     """
     given = {"kinds": kinds, "obstacles": obstacles, "free": free, "factor": factor, "cost": cost}
+    check_legend(legend, [role for role, value in given.items() if value is not None])
     found, names = ground_of(ground), _legend(legend)
     layers = [
         _layer(role, one, found.frame, names)

@@ -80,6 +80,11 @@ class KindIn(Request):
         examples=[0.02],
     )
     blocked: bool = Field(default=False, description="no part of the robot may be over it", examples=[False])
+    value: list[int] | int = Field(
+        default=[],
+        description="numbers that mean it where polygons have the property `kind`, `value` or `DN` as a number",
+        examples=[2],
+    )
 
 
 class CostmapOptions(Request):
@@ -99,8 +104,9 @@ class CostmapOptions(Request):
         default={},
         max_length=len(ROLES),
         description="what is known of the ground beside its height, as GeoJSON with polygons, in the map's CRS or in "
-        "degrees: `kinds` (features with the property `kind`), `obstacles`, `free` (the only ground to be driven on), "
-        "`factor` (property `factor`, of the energy) or `cost` (property `cost`, added J/m)",
+        "degrees: `kinds` (features with the property `kind`, a name or a value of the legend), `obstacles`, `free` "
+        "(the only ground to be driven on), `factor` (property `factor`, 0 to 100, of the energy) or `cost` (property "
+        "`cost`, added J/m, 0 to 1,000,000)",
         examples=[{}],
     )
     legend: dict[str, KindIn] = Field(

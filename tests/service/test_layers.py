@@ -37,7 +37,7 @@ def collection(*features: dict) -> dict:
 
 KINDS = collection(polygon(0, 0, 20, 40, kind="Grass"), polygon(20, 0, 40, 40, kind="mud"))
 WALL = collection(polygon(18, 18, 22, 40))
-LEGEND = {"grass": {"rolling_resistance": 0.08}, "mud": {"rolling_resistance": 0.2, "std": 0.05}}
+LEGEND = {"grass": {"rolling_resistance": 0.08}, "mud": {"value": 2, "rolling_resistance": 0.2, "std": 0.05}}
 
 
 def check(folder: Path) -> None:
@@ -59,6 +59,21 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     legend = "\n".join(f"[{name}]\n" + "\n".join(f"{k} = {v}" for k, v in one.items()) for name, one in LEGEND.items())
     (folder / "legend.toml").write_text(legend)
     return folder
+
+
+def test_numbers_of_a_legend_and_words_for_numbers_on_the_command_line(files, tmp_path):
+    (tmp_path / "dn.geojson").write_text(json.dumps(collection(polygon(0, 0, 40, 40, DN=2), polygon(0, 0, 9, 9, DN=5))))
+    (tmp_path / "dn.toml").write_text("[mud]\nvalue = 2\nrolling_resistance = 0.2\n")
+    (tmp_path / "abc.geojson").write_text(json.dumps(collection(polygon(0, 0, 40, 40, factor="abc"))))
+    begin = f"costmap {files}/level.tif --model physics --out {tmp_path}/map.zarr --layer"
+    done = CliRunner().invoke(app, f"{begin} kinds={tmp_path}/dn.geojson --legend {tmp_path}/dn.toml".split())
+    assert done.exit_code == 0, done.output
+    traction = load_lattice(tmp_path / "map.zarr").traction_per_m
+    assert traction[10, 30, 0] == pytest.approx(Robot().weight_n * 0.2, rel=1e-4)
+    assert "that the legend does not name (5)" in " ".join(done.output.split())
+    done = CliRunner().invoke(app, f"{begin} factor={tmp_path}/abc.geojson --overwrite".split())
+    assert isinstance(done.exception, SystemExit)  # and no traceback
+    assert "abc.geojson has the factor 'abc', which is no number" in " ".join(done.output.split())
 
 
 def test_on_the_command_line(files, tmp_path):
@@ -85,10 +100,11 @@ def test_a_layer_that_is_typed_wrongly_is_refused_with_what_to_type(files, tmp_p
 
 def test_over_http(client, files):
     sent = client.post("/v1/heightmaps", files={"file": ("level.tif", (files / "level.tif").read_bytes())}).json()
+    by_value = collection(KINDS["features"][0], polygon(20, 0, 40, 40, DN=2))
     asked = {
         "heightmap_id": sent["id"],
         "model": "physics",
-        "layers": {"kinds": KINDS, "obstacles": WALL},
+        "layers": {"kinds": by_value, "obstacles": WALL},
         "legend": LEGEND,
     }
     made = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=300"})

@@ -207,7 +207,7 @@ def test_what_cannot_be_a_layer_is_refused_with_the_value(land, tmp_path):
 
 def test_a_layer_over_a_part_of_the_map_and_a_kind_without_a_cost_are_warned_of(land):
     half = jm.heightmap(np.zeros((80, 160)), resolution_m=0.5, west_m=WEST, north_m=NORTH, crs=CRS)
-    costs = jm.costmap(jm.with_layers(half, kinds=land, legend={"moss": {"value": 1}}), ROBOT, model="physics")
+    costs = jm.costmap(jm.with_layers(half, kinds=land, legend={"moss": {"value": [1, 2, 3]}}), ROBOT, model="physics")
     assert any("covers 50%" in words for words in costs.warnings)
     assert any("moss" in words for words in costs.warnings)
 
@@ -309,5 +309,36 @@ def test_polygons_that_cannot_be_drawn_are_refused_in_one_sentence(role, given, 
 def test_a_number_means_the_kind_that_has_it_in_the_legend(key):
     (layer,) = jm.with_layers(level(), kinds=feature(RING, **{key: 2}), legend=LEGEND).layers.each
     assert layer.kinds[layer.at(WEST + 5.0, NORTH - 5.0)].name == "mud"
-    with pytest.raises(InputError, match="kind 9, which is no value of the legend"):
+    with pytest.raises(InputError, match=r"none of the values .* the first is 9"):
         jm.with_layers(level(), kinds=feature(RING, **{key: 9}), legend=LEGEND)
+    with pytest.raises(InputError, match="kind 2, and no legend"):
+        jm.with_layers(level(), kinds=feature(RING, **{key: 2}))
+
+
+def test_values_that_the_legend_does_not_name_are_warned_of_with_their_share(land):
+    both = {"type": "FeatureCollection", "features": [feature(RING, DN=2), feature(RING, DN=7)]}
+    for given, share in ((land, "52%"), (both, "100%")):
+        ground = jm.with_layers(level(), kinds=given, legend={"mud": {"value": 2}, "ice": {}})
+        (said, covers) = (words for words in ground.layers.warnings(ground.frame) if " layer " in words)
+        assert f"{share} has values that the legend does not name (" in said
+        assert ("no cell is of ice" in said) == (given is land)
+        assert "covers 48%" in covers or given is both
+
+
+def test_cells_without_data_are_not_covered():
+    ground = level()
+    values = np.full(ground.frame.shape, 1.5)
+    values[:, 20:] = np.nan
+    over = jm.with_layers(ground, factor=values)
+    assert over.layers.warnings(ground.frame) == ["the layer array covers 25% of the map: the rest is as without it"]
+
+
+def test_a_legend_without_kinds_and_a_layer_of_two_bands_are_refused(tmp_path):
+    wall = np.zeros(level().frame.shape)
+    with pytest.raises(InputError, match="no layer of kinds"):
+        jm.with_layers(level(), obstacles=wall, legend=LEGEND)
+    with rasterio.open(tmp_path / "two.tif", "w", driver="GTiff", width=80, height=80, count=2, dtype="uint8", crs=CRS,
+                       transform=from_origin(WEST, NORTH, 0.5, 0.5)) as file:  # fmt: skip
+        file.write(np.zeros((2, 80, 80), dtype="uint8"))
+    with pytest.raises(InputError, match=r"layer two.tif has 2 bands, and a layer has one"):
+        jm.with_layers(level(), obstacles=tmp_path / "two.tif")

@@ -124,7 +124,8 @@ def _opened(
     if band is None and len(named) != 1:
         raise HeightmapError(
             f"{what} has several variables: give `band`, the number of the one with the heights, of "
-            f"{', '.join(f'{k} {part}' for k, part in enumerate(parts, 1))[:300]}"
+            f"{', '.join(f'{k} {part}' for k, part in enumerate(parts, 1))[:300]}",
+            bands=len(parts),
         )
     part = named[0] if band is None else parts[band - 1]
     with opened(source, (driver,), what=what, part=part) as dataset:

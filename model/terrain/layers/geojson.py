@@ -25,12 +25,13 @@ def polygons_of(document: Mapping[str, Any], source: str) -> list[tuple[dict[str
     for feature in _features(document, source):
         if not isinstance(feature, Mapping):
             raise InputError(f"{source} is no GeoJSON with polygons: a feature of it is {_short(feature)}")
-        properties: Any = {}
-        if feature.get("type") == "Feature":
-            feature, properties = feature.get("geometry"), feature.get("properties") or {}
-        if not isinstance(feature, Mapping) or not isinstance(properties, Mapping):
+        alone = feature.get("type") != "Feature"
+        geometry, properties = (feature, {}) if alone else (feature.get("geometry"), feature.get("properties") or {})
+        if not isinstance(geometry, Mapping):
             raise InputError(f"a feature of {source} has no geometry: leave it out, or give it a polygon")
-        kind, nested = feature.get("type"), feature.get("coordinates")
+        if not isinstance(properties, Mapping):
+            raise InputError(f"the properties of a feature of {source} are {_short(properties)}: give names and values")
+        kind, nested = geometry.get("type"), geometry.get("coordinates")
         if kind not in ("Polygon", "MultiPolygon"):
             raise InputError(f"{source} holds a {_short(kind)}: a layer is of polygons")
         polygons = _list([nested] if kind == "Polygon" else nested, source)

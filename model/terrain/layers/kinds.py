@@ -19,6 +19,7 @@ MOST_KINDS = 1000
 """Of a legend; land cover maps have ten to fifty."""
 MOST_LETTERS = 100
 """Of the name of a kind of ground."""
+_SHOWN = 8  # values in a message
 MOST_RESISTANCE, MOST_FACTOR = 2.0, 100.0
 """A force of more than twice the weight is no rolling, and a hundred times the energy no ground that one drives on."""
 
@@ -55,7 +56,8 @@ class Kind:
             raise InputError("a kind of ground has no name")
         if len(self.name) > MOST_LETTERS:
             raise InputError(
-                f"the name of the kind of ground {self.name[:20]!r}... has {len(self.name)} letters; at most {MOST_LETTERS}"
+                f"the name of the kind of ground {self.name[:20]!r}... has {len(self.name)} letters, and the limit is "
+                f"{MOST_LETTERS}"
             )
         if self.rolling_resistance is not None and self.factor is not None:
             raise InputError(
@@ -107,9 +109,31 @@ class Legend:
     values: Mapping[int, int]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what each kind costs, by name, JSON-able."""
+        """Return what each kind costs and its values, by name, JSON-able."""
         said = ("rolling_resistance", "factor", "std", "blocked")
-        return {kind.name: {k: v for k, v in kind.as_dict().items() if k in said} for kind in self.kinds}
+        tables = {kind.name: {k: v for k, v in kind.as_dict().items() if k in said} for kind in self.kinds}
+        for value, number in self.values.items():
+            tables[self.kinds[number].name].setdefault("value", []).append(value)
+        return tables
+
+    def unlisted(self, values: Iterable[float], share: float) -> str:
+        """Return what a user should know of values that a layer has and the legend has not.
+
+        Parameters
+        ----------
+        values : iterable of float
+            Without an entry, each once.
+        share : float
+            Of the layer's known cells, 0..1.
+
+        Returns
+        -------
+        str
+            A sentence without its subject; empty where there are none.
+        """
+        lost = sorted(values)
+        some = ", ".join(f"{value:g}" for value in lost[:_SHOWN]) + (", ..." if len(lost) > _SHOWN else "")
+        return f"{100.0 * share:.3g}% has values that the legend does not name ({some}): of no kind" if lost else ""
 
 
 def plain_name(name: object) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -52,6 +52,8 @@ class Layer:
         Of a layer of kinds.
     function : callable, optional
         Of a layer of costs, in place of values.
+    remark : str
+        What a user should know of it; empty where there is nothing to say.
     """
 
     role: str
@@ -60,6 +62,7 @@ class Layer:
     values: NDArray[Any] | None = None
     kinds: tuple[Kind, ...] = ()
     function: CostFunction | None = None
+    remark: str = ""
 
     def __post_init__(self) -> None:
         if self.role not in ROLES:
@@ -88,6 +91,27 @@ class Layer:
         found = self.values[np.clip(row, 0, self.frame.rows - 1), np.clip(col, 0, self.frame.cols - 1)]
         unknown = {KINDS: -1, OBSTACLES: False, FREE: True}.get(self.role, math.nan)
         return np.where(inside, found, np.asarray(unknown, dtype=found.dtype))
+
+    def knows(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+        """Return where it says something.
+
+        Parameters
+        ----------
+        x, y : array_like
+            World points [m].
+
+        Returns
+        -------
+        ndarray of bool
+            In the shape of the points. What is unknown in a layer of obstacles or of free ground has a meaning there.
+        """
+        assert self.frame is not None
+        if self.role in (OBSTACLES, FREE):
+            west, south, east, north = self.frame.bounds
+            x, y = np.asarray(x), np.asarray(y)
+            return np.asarray((x >= west) & (x <= east) & (y >= south) & (y <= north))
+        found = self.at(x, y)
+        return np.asarray(found >= 0 if self.role == KINDS else ~np.isnan(found))
 
     @property
     def closes(self) -> bool:
@@ -155,3 +179,22 @@ def check_numbers(role: str, values: NDArray[Any], source: str) -> None:
             value=str(float(beyond[0])),
             limit=[low, high],
         )
+
+
+def check_legend(given: object, roles: Iterable[str]) -> None:
+    """Refuse a legend without a layer that it is of.
+
+    Parameters
+    ----------
+    given : object
+        The legend; None or empty where there is none.
+    roles : iterable of str
+        Of the layers.
+
+    Raises
+    ------
+    InputError
+        If none of them is of kinds of ground.
+    """
+    if given and KINDS not in roles:
+        raise InputError("there is a legend, and no layer of kinds of ground that it is of: give one, or no legend")

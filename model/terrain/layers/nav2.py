@@ -12,7 +12,6 @@ from rasterio.transform import Affine
 from joulemap.model.errors import InputError
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import Scaling
-from joulemap.model.terrain.formats import raster as rasters
 from joulemap.model.terrain.readers import source_of
 
 if TYPE_CHECKING:
@@ -36,12 +35,12 @@ def read_nav2(file: SourceFile, crs: str | None) -> Raster:
 
     Reference: nav2_map_server, map_io.
     """
-    from joulemap.model.terrain.layers.reading import Raster
+    from joulemap.model.terrain.layers.reading import Raster, opened_layer
 
     said = _said(file)
     picture = _picture(file, str(said["image"]))
     scaling = Scaling(scale_m=1.0)
-    raster = rasters.open_windows(picture, scaling, north_up=False)
+    raster = opened_layer(picture, scaling)
     rows, cols = raster.shape
     with raster.dataset() as dataset:  # as it is stored: GDAL has no place for a PGM, or a wrong one
         values = raster.read_from(dataset, scaling, slice(0, rows), slice(0, cols)).astype(np.float64)

@@ -18,9 +18,10 @@ from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.crs_text import known_crs
 from joulemap.model.terrain.layers.geojson import check_reach, corners_of, named_crs, polygons_of
 from joulemap.model.terrain.layers.kinds import MOST_KINDS, MOST_LETTERS, Legend, legend_of, named_kinds, plain_name
-from joulemap.model.terrain.layers.layer import FREE, KINDS, OBSTACLES, Layer, check_numbers
+from joulemap.model.terrain.layers.layer import FREE, KINDS, OBSTACLES, Layer, check_legend, check_numbers
 from joulemap.model.terrain.readers import source_of
 
+_UNLISTED = -2  # drawn where a polygon has a value that the legend has not
 MOST_CORNERS = 200_000
 """Of all polygons of a request: drawing so many takes a second."""
 _NAMES = ("kind", "name", "class", "surface", "value", "DN")
@@ -46,6 +47,8 @@ def polygon_layer(
             geometry = transform_geom(known_crs(named), known_crs(ground.crs), geometry)
         check_reach(geometry, source)
         shapes.append((geometry, _meant(role, properties, source, legend)))
+    if role == KINDS and not any(isinstance(meant, str) for _, meant in shapes):
+        raise InputError(f"none of the values of {source} is in the legend: the first is {shapes[0][1]:g}")
     if not any(_meets(geometry, ground) for geometry, _ in shapes):
         raise InputError(f"no polygon of {source} lies on the heightmap: are they in its CRS, {ground.crs_in_words}?")
     transform = Affine(ground.resolution_m, 0.0, ground.west_m, 0.0, -ground.resolution_m, ground.north_m)
@@ -53,17 +56,21 @@ def polygon_layer(
     usual: float = math.nan
     if role == KINDS:
         given = () if legend is None else legend.kinds
-        known = {kind.name: kind for kind in (*named_kinds(meant for _, meant in shapes).kinds, *given)}
+        names = [meant for _, meant in shapes if isinstance(meant, str)]
+        lost = {meant for _, meant in shapes if not isinstance(meant, str)}
+        known = {kind.name: kind for kind in (*named_kinds(names).kinds, *given)}
         if len(known) > MOST_KINDS:
             raise InputError(f"{source} has {len(known)} kinds of ground; at most {MOST_KINDS} can be taken")
         kinds, usual = tuple(known.values()), -1
         numbers = {name: k for k, name in enumerate(known)}
-        shapes = [(geometry, numbers[meant]) for geometry, meant in shapes]
+        shapes = [(geometry, numbers.get(meant, _UNLISTED)) for geometry, meant in shapes]
     drawn = rasterize(
         shapes, out_shape=ground.shape, transform=transform, all_touched=role == OBSTACLES, fill=usual, dtype=np.float64
     )
     if role == KINDS:
-        return Layer(role, source, ground, drawn.astype(np.int16), kinds)
+        share = float((drawn == _UNLISTED).sum()) / max(int((drawn != usual).sum()), 1)
+        remark = "" if legend is None else legend.unlisted(lost, share)
+        return Layer(role, source, ground, np.maximum(drawn, usual).astype(np.int16), kinds, remark=remark)
     if role in (OBSTACLES, FREE):
         inside = ~np.isnan(drawn)
         return Layer(role, source, ground, inside if role == OBSTACLES else ~inside)
@@ -79,6 +86,7 @@ def _meets(geometry: Mapping[str, Any], ground: GridFrame) -> bool:
 
 def check_polygons(sent: Mapping[str, Mapping[str, Any]], ground: GridFrame, legend: Mapping[str, Any]) -> None:
     """Refuse layers of polygons that somebody sent for a heightmap, without drawing them. Raises InputError."""
+    check_legend(legend, sent)
     named, count, side_m = legend_of(legend) if legend else None, 0, ground.bounds[2] - ground.west_m
     whole = replace(ground, resolution_m=side_m, rows=1, cols=1)
     for role, document in sent.items():
@@ -110,8 +118,8 @@ def _meant(role: str, properties: Mapping[str, Any], source: str, legend: Legend
     return number
 
 
-def _kind_meant(value: Any, source: str, legend: Legend | None) -> str:
-    """The name of a kind of ground: as it is given, or by its value in the legend."""
+def _kind_meant(value: Any, source: str, legend: Legend | None) -> str | float:
+    """The name of a kind of ground: as it is given, or by its value in the legend; a value that it has not."""
     if isinstance(value, str):
         if not 0 < len(name := plain_name(value)) <= MOST_LETTERS:
             raise InputError(
@@ -120,13 +128,13 @@ def _kind_meant(value: Any, source: str, legend: Legend | None) -> str:
         return name
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         raise InputError(f"a polygon of {source} has the kind {value!r:.60}: give a name, or a value of the legend")
-    if legend is None or value not in legend.values:
+    if legend is None or not legend.values:
         raise InputError(
-            f"a polygon of {source} has the kind {value:g}, which is no value of the legend: give its kind a table "
-            f"with value = {value:g}",
+            f"a polygon of {source} has the kind {value:g}, and no legend says which that is: give one with "
+            f"value = {value:g}",
             value=str(value),
         )
-    return legend.kinds[legend.values[int(value)]].name
+    return legend.kinds[legend.values[int(value)]].name if value in legend.values else float(value)
 
 
 def read_document(path: str | Path) -> Mapping[str, Any]:

@@ -18,7 +18,7 @@ from joulemap.model.terrain.crs_text import known_crs
 from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.formats import raster as rasters
 from joulemap.model.terrain.layers.kinds import Legend, legend_of, read_legend
-from joulemap.model.terrain.layers.layer import FREE, KINDS, OBSTACLES, ROLES, Layer
+from joulemap.model.terrain.layers.layer import FREE, KINDS, OBSTACLES, ROLES, Layer, check_legend
 from joulemap.model.terrain.layers.nav2 import is_nav2, read_nav2
 from joulemap.model.terrain.layers.polygons import document_of, polygon_layer
 from joulemap.model.terrain.layers.stack import Layers
@@ -71,6 +71,7 @@ def read_layers(
 ) -> Layers:
     """Read the layers of a heightmap from files, by what they are of. `legend`: a TOML file, or its tables."""
     named = None if legend is None else legend_of(legend) if isinstance(legend, Mapping) else read_legend(legend)
+    check_legend(legend, files)
     every = [
         (role, one)
         for role, some in files.items()
@@ -111,7 +112,7 @@ def _raster(file: SourceFile, ground: GridFrame) -> Raster:
         if side is None or found.west_m is None or found.north_m is None:
             return _like_the_map(found.heights, ground, file.name)
         return Raster(found.heights, Affine(side, 0.0, found.west_m, 0.0, -side, found.north_m), found.crs)
-    raster = rasters.open_windows(file, scaling, north_up=False)
+    raster = opened_layer(file, scaling)
     rows, cols = raster.shape
     if raster.transform.is_identity:
         return _like_the_map(raster.read(scaling, slice(0, rows), slice(0, cols)), ground, file.name)
@@ -121,6 +122,20 @@ def _raster(file: SourceFile, ground: GridFrame) -> Raster:
     a, b, c, d, e, f = raster.transform[:6]
     corner = Affine(a, b, a * col0 + b * row0 + c, d, e, d * col0 + e * row0 + f)
     return Raster(values, corner, raster.own_crs)
+
+
+def opened_layer(file: SourceFile, scaling: Scaling) -> Any:
+    """Open the raster of a layer. Raises InputError where it has several bands: which one is meant is not known."""
+    try:
+        return rasters.open_windows(file, scaling, north_up=False)
+    except HeightmapError as error:
+        if "bands" not in error.context:
+            raise
+        raise InputError(
+            f"the layer {file.name} has {error.context['bands']} bands, and a layer has one: write that into a file "
+            "of its own (gdal_translate -b 1 does it with the first)",
+            bands=error.context["bands"],
+        ) from error
 
 
 def _like_the_map(values: NDArray[Any], ground: GridFrame, name: str) -> Raster:
@@ -200,4 +215,9 @@ def _of_kinds(values: NDArray[Any], frame: GridFrame, legend: Legend | None, sou
     numbers = np.full(values.shape, -1, dtype=np.int16)
     for value, number in legend.values.items():
         numbers[values == value] = number
-    return Layer(KINDS, source, frame, numbers, legend.kinds)
+    share = float(np.isin(values, lost).sum()) / max(int((~np.isnan(values)).sum()), 1)
+    valued = set(legend.values.values())
+    nowhere = [kind.name for number, kind in enumerate(legend.kinds) if number not in valued]
+    of_none = f"no cell is of {', '.join(nowhere)}: the legend gives no value" if nowhere else ""
+    remark = "; ".join(filter(None, (legend.unlisted(lost, share), of_none)))
+    return Layer(KINDS, source, frame, numbers, legend.kinds, remark=remark)

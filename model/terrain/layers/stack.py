@@ -99,9 +99,7 @@ class Layers:
         """
         if not self.kinds:
             return {}
-        x, y = frame.centres()
-        step = max(1, math.ceil(math.sqrt(x.size * y.size / _PLACES)))
-        at = self.kind_at(x[None, ::step], y[::step, None])
+        at = self.kind_at(*_sampled(frame))
         free = {k: kind.name for k, kind in enumerate(self.kinds) if not kind.blocked}
         known = max(int(np.isin(at, [-1, *free]).sum()), 1)
         return {name: float((at == k).sum()) / known for k, name in free.items()}
@@ -237,16 +235,13 @@ class Layers:
             Sentences; none where there is nothing to say.
         """
         found = []
+        x, y = _sampled(frame)
         for layer in self.each:
-            place = layer.frame
-            west, south, east, north = frame.bounds
-            if place is not None:
-                w, s, e, n = place.bounds
-                shared = max(min(east, e) - max(west, w), 0.0) * max(min(north, n) - max(south, s), 0.0)
-                share = shared / ((east - west) * (north - south))
-                if share < 1.0 - 1e-3:
-                    outside = "an obstacle" if layer.role == FREE else "as without it"
-                    found.append(f"the layer {layer.source} covers {share:.0%} of the map: the rest is {outside}")
+            if layer.remark:
+                found.append(f"of the layer {layer.source} {layer.remark}")
+            if layer.frame is not None and (share := float(layer.knows(x, y).mean())) < 1.0 - 1e-3:
+                outside = "an obstacle" if layer.role == FREE else "as without it"
+                found.append(f"the layer {layer.source} covers {100.0 * share:.3g}% of the map: the rest is {outside}")
         free = [k.name for k in self.kinds if k.rolling_resistance is None and k.factor is None and not k.blocked]
         if free:
             found.append(
@@ -258,6 +253,13 @@ class Layers:
     def as_list(self) -> list[dict[str, Any]]:
         """Return what they are, JSON-able."""
         return [layer.as_dict() for layer in self.each]
+
+
+def _sampled(frame: GridFrame) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Evenly spaced places of a map, as a row and a column."""
+    x, y = frame.centres()
+    step = max(1, math.ceil(math.sqrt(x.size * y.size / _PLACES)))
+    return np.broadcast_arrays(x[None, ::step], y[::step, None])  # type: ignore[return-value]
 
 
 def _multiplied(traction_per_m: NDArray[Any], times: NDArray[Any]) -> NDArray[Any]:

@@ -121,7 +121,7 @@ def _check_settings(service: Service, wanted: CostmapOptions) -> None:
 
 def _checked_layers(wanted: CostmapOptions, frame: GridFrame) -> dict[str, Any]:
     """The layers of a request, as a job keeps them. Raises InputError where one is no layer of this map."""
-    if not wanted.layers:
+    if not wanted.layers and not wanted.legend:
         return {}
     legend = {name: kind.model_dump(exclude_defaults=True) for name, kind in wanted.legend.items()}
     layers: dict[str, Any] = {str(role): polygons for role, polygons in wanted.layers.items()}
