@@ -294,6 +294,8 @@ def test_a_ring_is_closed_and_a_crs_may_be_its_name_alone():
         ("obstacles", feature(RING) | {"crs": {"properties": {"name": 32630}}}, "crs of .* is 32630"),
         ("kinds", feature(RING, kind={"a": 1}), "kind .* give a name"),
         ("kinds", feature(RING, kind="m" * 101), "101 letters"),
+        ("kinds", feature(RING, kind=10**400), "give a name"),
+        ("obstacles", feature([[1e308, 1], [1e308, 9], [2, 95]]) | {"crs": "EPSG:4326"}, "cannot be in EPSG:4326"),
         ("factor", feature(RING, factor="abc"), "'abc', which is no number"),
         ("cost", feature(RING, cost=[1]), "which is no number"),
     ],

@@ -10,7 +10,9 @@ from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 
 MOST_COORDINATE = 1e8
-"""[m]: more than twice round the Earth. GDAL draws nothing of polygons that reach much further."""
+"""[m]: more than twice round the Earth."""
+_MOST_CELLS = 1e9
+"""From the map's corner: GDAL counts cells in 32 bits, and draws nothing of a polygon that reaches further."""
 _LEAST_CORNERS = 3
 
 Ring = list[tuple[float, float]]
@@ -65,15 +67,16 @@ def named_crs(
     return "EPSG:4326" if degrees and not inside and ground.crs is not None else None
 
 
-def check_reach(geometry: Mapping[str, Any], source: str) -> None:
+def check_reach(geometry: Mapping[str, Any], ground: GridFrame, source: str) -> None:
     """Refuse a polygon that lies where no map does, which GDAL would leave out. Raises InputError."""
-    far = next((at for corner in corners_of(geometry) for at in corner if not abs(at) <= MOST_COORDINATE), None)
-    if far is not None:
-        raise InputError(
-            f"a polygon of {source} has the coordinate {far:g}, and the limit is {MOST_COORDINATE:g} m",
-            value=str(far),
-            limit=MOST_COORDINATE,
-        )
+    most = min(MOST_COORDINATE, _MOST_CELLS * ground.resolution_m)
+    for x, y in corners_of(geometry):
+        if not (abs(x - ground.west_m) <= most and abs(y - ground.north_m) <= most):
+            raise InputError(
+                f"a polygon of {source} has a corner at {x:g}, {y:g}, and the limit is {most:g} m from the map",
+                value=[str(x), str(y)],
+                limit=most,
+            )
 
 
 def _features(document: Mapping[str, Any], source: str) -> Sequence[Any]:

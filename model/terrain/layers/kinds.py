@@ -19,6 +19,8 @@ MOST_KINDS = 1000
 """Of a legend; land cover maps have ten to fifty."""
 MOST_LETTERS = 100
 """Of the name of a kind of ground."""
+MOST_VALUE = 2**53
+"""Of the stored values of a layer: what numbers of 64 bits hold exactly."""
 _SHOWN = 8  # values in a message
 MOST_RESISTANCE, MOST_FACTOR = 2.0, 100.0
 """A force of more than twice the weight is no rolling, and a hundred times the energy no ground that one drives on."""
@@ -158,8 +160,8 @@ def legend_of(tables: Mapping[str, Any]) -> Legend:
             raise InputError(f"the legend says {strange!r} of {name!r}: known are {', '.join(_FIELDS)}", key=strange)
         stored = table.get("value", ())
         for value in stored if isinstance(stored, Sequence) else (stored,):
-            if isinstance(value, bool) or not isinstance(value, int):
-                raise InputError(f"value = {value!r} of {name!r} in the legend is no whole number")
+            if isinstance(value, bool) or not (isinstance(value, int) and abs(value) <= MOST_VALUE):
+                raise InputError(f"value = {value!r:.60} of {name!r} in the legend is no whole number to {MOST_VALUE}")
             if value in values:
                 raise InputError(f"the value {value} means {kinds[values[value]].name!r} and {name!r}")
             values[value] = number

@@ -16,8 +16,17 @@ from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.crs_text import known_crs
+from joulemap.model.terrain.formats.gdal import is_gdal_error
 from joulemap.model.terrain.layers.geojson import check_reach, corners_of, named_crs, polygons_of
-from joulemap.model.terrain.layers.kinds import MOST_KINDS, MOST_LETTERS, Legend, legend_of, named_kinds, plain_name
+from joulemap.model.terrain.layers.kinds import (
+    MOST_KINDS,
+    MOST_LETTERS,
+    MOST_VALUE,
+    Legend,
+    legend_of,
+    named_kinds,
+    plain_name,
+)
 from joulemap.model.terrain.layers.layer import FREE, KINDS, OBSTACLES, Layer, check_legend, check_numbers
 from joulemap.model.terrain.readers import source_of
 
@@ -44,8 +53,13 @@ def polygon_layer(
     shapes: list[tuple[Any, Any]] = []
     for geometry, properties in found:
         if named is not None and ground.crs is not None:
-            geometry = transform_geom(known_crs(named), known_crs(ground.crs), geometry)
-        check_reach(geometry, source)
+            try:
+                geometry = transform_geom(known_crs(named), known_crs(ground.crs), geometry)
+            except Exception as error:
+                if not is_gdal_error(error):
+                    raise
+                raise InputError(f"a polygon of {source} cannot be in {named}: {str(error)[:100]}") from error
+        check_reach(geometry, ground, source)
         shapes.append((geometry, _meant(role, properties, source, legend)))
     if role == KINDS and not any(isinstance(meant, str) for _, meant in shapes):
         raise InputError(f"none of the values of {source} is in the legend: the first is {shapes[0][1]:g}")
@@ -126,7 +140,7 @@ def _kind_meant(value: Any, source: str, legend: Legend | None) -> str | float:
                 f"a kind of ground in {source} has a name of {len(name)} letters: give 1 to {MOST_LETTERS}"
             )
         return name
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+    if isinstance(value, bool) or not (isinstance(value, int | float | np.number) and abs(value) <= MOST_VALUE):
         raise InputError(f"a polygon of {source} has the kind {value!r:.60}: give a name, or a value of the legend")
     if legend is None or not legend.values:
         raise InputError(
