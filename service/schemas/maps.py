@@ -9,7 +9,7 @@ from pydantic import Field
 
 from joulemap.model.ranges import HEADINGS, SPACING_M
 from joulemap.model.terrain.layers.kinds import MOST_FACTOR, MOST_KINDS, MOST_RESISTANCE
-from joulemap.model.terrain.layers.layer import ROLES
+from joulemap.model.terrain.layers.layer import COST, FACTOR, LIMITS, ROLES
 from joulemap.planner.lattice.build import DEFAULT_HEADINGS
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.schemas.base import (
@@ -105,8 +105,8 @@ class CostmapOptions(Request):
         max_length=len(ROLES),
         description="what is known of the ground beside its height, as GeoJSON with polygons, in the map's CRS or in "
         "degrees: `kinds` (features with the property `kind`, a name or a value of the legend), `obstacles`, `free` "
-        "(the only ground to be driven on), `factor` (property `factor`, 0 to 100, of the energy) or `cost` (property "
-        "`cost`, added J/m, 0 to 1,000,000)",
+        "(the only ground to be driven on), `factor` (property `factor`, of the energy, 0 to "
+        f"{LIMITS[FACTOR][1]:,.0f}) or `cost` (property `cost`, added J/m, 0 to {LIMITS[COST][1]:,.0f})",
         examples=[{}],
     )
     legend: dict[str, KindIn] = Field(

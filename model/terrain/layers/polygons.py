@@ -140,7 +140,8 @@ def _kind_meant(value: Any, source: str, legend: Legend | None) -> str | float:
                 f"a kind of ground in {source} has a name of {len(name)} letters: give 1 to {MOST_LETTERS}"
             )
         return name
-    if isinstance(value, bool) or not (isinstance(value, int | float | np.number) and abs(value) <= MOST_VALUE):
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not (is_number and abs(value) <= MOST_VALUE):
         raise InputError(f"a polygon of {source} has the kind {value!r:.60}: give a name, or a value of the legend")
     if legend is None or not legend.values:
         raise InputError(
