@@ -10,6 +10,13 @@ def energy_words(energy_j: float) -> str:
     return f"{energy_j / 1000.0:.2f} kJ ({energy_j / 3600.0:.2f} Wh)"
 
 
+def range_words(energy_j: float, low_j: float, high_j: float) -> str:
+    """Return an energy and the ends of its interval in one unit, for example "2.05 Wh, 1.80 to 2.30 Wh"."""
+    size, unit, digits = (1.0, "J", 0) if max(abs(low_j), abs(high_j)) < 1000.0 else (3600.0, "Wh", 2)
+    middle, low, high = (f"{value / size:.{digits}f}" for value in (energy_j, low_j, high_j))
+    return f"{middle} {unit}, {low} to {high} {unit}"
+
+
 def duration_words(seconds: float) -> str:
     """Return a duration in words. Result: minutes and seconds, or hours and minutes, for example "3 min 14 s"."""
     minutes, rest = divmod(round(seconds), 60)

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from joulemap.service.commands.asked import Wanted
 from joulemap.service.commands.console import JsonFile, Output
 from joulemap.service.commands.options import there
+
+if TYPE_CHECKING:
+    from joulemap.service.driving.ahead import Metres
+
+LEFT_M = 50.0
+"""Setting: a robot that is further beside its route for ten seconds has left it [m]; a wild fix is shorter."""
+_SAME_M = 1e-6  # rounding of a place that is projected onto the end
 
 
 def follow(
@@ -36,7 +44,9 @@ def follow(
 ) -> None:
     """**Follow a drive**: what its log says so far corrects the forecast of the rest of its route.
 
-    Every line says what the rest is expected to take, why, and whether the battery lasts; changes raise an alarm.
+    Every line says what the rest is expected to take, why, and whether the battery lasts; changes raise an alarm. It
+    begins where the log comes within 3 m of the route, and ends at the end of the route, or where the robot is more
+    than 50 m beside it for 10 s.
 
     Examples:
 
@@ -49,6 +59,7 @@ def follow(
     from joulemap.model.errors import RunsError
     from joulemap.model.runs.reader import read_run
     from joulemap.service.commands.path_files import read_path
+    from joulemap.service.driving.tracking import GAP_S
     from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.questions.parts import battery_of
 
@@ -62,23 +73,54 @@ def follow(
         raise RunsError(f"{log} has no {'position' if power is not None else 'power'}: a drive cannot be followed")
     output.warn([*notes, *run.notes])
     known = np.isfinite(run.x) & np.isfinite(power)
+    moments = np.column_stack([run.t, run.x, run.y, power])[known].tolist()
+    moments = moments[_reached(moments, drive.tracking.metres) :]
     said: list[dict[str, object]] = []
-    begin, shown_m, alarms = time.monotonic(), -every, 0
-    for t, x, y, watts in np.column_stack([run.t, run.x, run.y, power])[known].tolist():
+    begin, shown_m, alarms, followed, on_route_s = time.monotonic(), -every, 0, 0, moments[0][0]
+    ended = "the end of the log"
+    for t, x, y, watts in moments:
         if speed is not None:
-            time.sleep(max(0.0, (t - run.t[known][0]) / speed - (time.monotonic() - begin)))
+            time.sleep(max(0.0, (t - moments[0][0]) / speed - (time.monotonic() - begin)))
         drive.update(t, (x, y), power_w=watts)
-        state = drive.tracking.state
+        state, followed = drive.tracking.state, followed + 1
         if state.at_m >= shown_m + every or len(state.alarms) > alarms:
             shown_m, alarms = state.at_m, len(state.alarms)
             now = drive.forecast()
             output.say(now.text, head=f"{now.at_m:.0f} m", style="bold red" if now.verdict == "no" else "bold")
             said.append({"time_s": t, **now.as_dict()})
+        on_route_s = t if state.off_m <= LEFT_M else on_route_s
+        if state.at_m >= drive.tracking.metres.length_m - _SAME_M:
+            ended = "arrival at the end of the route"
+        elif t - on_route_s > GAP_S:
+            ended = f"the robot left the route: it was {state.off_m:.0f} m beside it"
+        else:
+            continue
+        ended += f"; {len(moments) - followed} later samples of the log are not used"
+        break
     end = drive.forecast()
     output.table(
         {
+            "followed to": ended,
             "used": f"{end.used_j / 3600.0:.2f} Wh for {end.at_m:.0f} of {end.at_m + end.left_m:.0f} m",
             "alarms": "; ".join(alarm["text"] for alarm in end.alarm_dicts()) or "none",
         }
     )
-    output.document({"forecasts": said, "end": end.as_dict()})
+    output.document({"forecasts": said, "end": end.as_dict(), "followed_to": ended})
+
+
+def _reached(moments: list[list[float]], metres: Metres) -> int:
+    """Which moment is the first on the route. Raises RunsError if none is."""
+    from joulemap.model.errors import RunsError
+    from joulemap.service.driving.tracking import OFF_ROUTE_M
+
+    nearest = math.inf
+    for k, (_, x, y, _) in enumerate(moments):
+        nearest = min(nearest, metres.nearest(x, y, 0.0, metres.length_m)[1])
+        if nearest <= OFF_ROUTE_M:
+            return k
+    raise RunsError(
+        f"the log is nowhere on the route: at its nearest it is {nearest:.0f} m beside it; a drive "
+        f"begins within {OFF_ROUTE_M:g} m",
+        found=nearest,
+        limit=OFF_ROUTE_M,
+    )

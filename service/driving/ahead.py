@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.uncertainty import LEAST_SHARE, USUAL_SPREAD, Spread
+from joulemap.model.errors import InputError
 from joulemap.model.loop.drive_filter import DrivePrior
 from joulemap.model.loop.drive_prior import UNKNOWN, cause_columns, prior_of_spread, unfitted
 from joulemap.planner.lattice import CostLattice
@@ -18,6 +19,8 @@ FloatArray = NDArray[np.float64]
 
 BACK_M = 5.0
 """How far behind the last place the robot is looked for [m]: a fix may be off, and a robot may back up."""
+SHORTEST_M, LONGEST_M = 0.01, 20_000.0
+"""Setting: limits of the length of a route that is followed [m]; what is kept in memory grows with it."""
 FASTEST = 3.0
 """Times its declared speed that it may have come on since."""
 
@@ -85,6 +88,28 @@ class Metres:
         return float(places[best]), float(off[best])
 
 
+def check_length(length_m: float) -> None:
+    """Raise InputError if a route is too short or too long to be followed."""
+    if not length_m >= SHORTEST_M:
+        raise InputError(
+            f"a drive needs a route of at least {SHORTEST_M:g} m, this one has {length_m:g} m",
+            found=length_m,
+            limit=SHORTEST_M,
+        )
+    if length_m > LONGEST_M:
+        raise InputError(
+            f"the route is {length_m:.0f} m long, and a drive of at most {LONGEST_M:.0f} m is followed: "
+            "follow it in parts",
+            found=length_m,
+            limit=LONGEST_M,
+        )
+
+
+def check_points(points: FloatArray) -> None:
+    """Raise InputError if a path of world points (n, 2) is too short or too long to be followed."""
+    check_length(float(np.hypot(*np.diff(points[:, :2], axis=0).T).sum()))
+
+
 def metres_of(lattice: CostLattice, route: Route) -> Metres:
     """Return a route by the metre, priced as it was planned."""
     robot, profile = lattice.robot, route.profile
@@ -99,7 +124,7 @@ def metres_of(lattice: CostLattice, route: Route) -> Metres:
     duration = length / robot.speed_mps
     by_piece = np.vstack([np.zeros(columns.shape[1] + 2), np.column_stack([columns, std, duration]).cumsum(axis=0)])
     ends = np.append(0.0, profile.distance_m)
-    marks = np.append(np.arange(math.ceil(route.length_m - 1e-9)), route.length_m)
+    marks = np.append(np.arange(max(math.ceil(route.length_m - 1e-9), 1)), route.length_m)
     sums = np.column_stack([np.interp(marks, ends, along) for along in by_piece.T])
     # the error within a metre is common to all of it, as in `odds_along`
     sums[1:, -2] = np.cumsum(np.diff(sums[:, -2]) ** 2)

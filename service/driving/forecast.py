@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 from joulemap.model.battery import Battery
 from joulemap.model.loop.drive_filter import CAUSES, Ahead
 from joulemap.planner.verdict.budget import judge
-from joulemap.planner.words import energy_words, probability_words
+from joulemap.planner.words import probability_words, range_words
 from joulemap.service.driving.ahead import Metres
 from joulemap.service.driving.tracking import OFF_ROUTE_M, Alarm, Tracking
 
@@ -64,8 +64,8 @@ class Forecast:
     learnt_m : float
         Distance that was learnt from [m].
     more : Cause
-        How much more the rest takes than planned, for what was learnt; its name is the cause that is seen, "level"
-        where none is seen alone.
+        How much more the rest takes than planned, for what was learnt: the share of the one cause that is seen, or of
+        all energy, named "level", where causes cannot be told apart.
     causes : tuple of Cause
         What is known of each cause.
     alarms : tuple of Alarm
@@ -160,14 +160,19 @@ def alarm_words(alarm: Alarm) -> str:
 
 
 def _more(causes: tuple[Cause, ...], mean: np.ndarray, covariance: np.ndarray, rest: np.ndarray, step: float) -> Cause:
-    """How much more the rest takes; or the cause that is seen alone, in its own share."""
+    """How much more the rest takes; or the one cause, in its own share, that explains most of it with 95 %."""
     planned = max(float(rest[0]), 1e-9)
     share = float(rest @ mean) / planned
     half = step * math.sqrt(max(float(rest @ covariance @ rest), 0.0)) / planned
-    seen = [c for c in causes if c.low > 0.0 or c.high < 0.0]
-    if share - half <= 0.0 <= share + half or len(seen) != 1:
-        return Cause("level", share, share - half, share + half)
-    return seen[0]
+    total = Cause("level", share, share - half, share + half)
+    if total.low <= 0.0 <= total.high:
+        return total
+    for k, cause in enumerate(causes[1:], 1):
+        beyond = math.copysign(1.0, share) * rest  # what this cause takes, less what all others take
+        beyond[np.arange(len(rest)) != k] *= -1.0
+        if beyond @ mean > step * math.sqrt(max(float(beyond @ covariance @ beyond), 0.0)):
+            return cause
+    return total
 
 
 def _words(found: Forecast) -> str:
@@ -179,8 +184,8 @@ def _words(found: Forecast) -> str:
         why = f"{_SUBJECT[more.name]} {abs(100.0 * more.share):.0f} % {side} than planned, "
         why += f"{ends[0]:.0f} to {ends[1]:.0f} %"
     words = (
-        f"{found.left_m:.0f} m to go take {energy_words(found.energy_j)}, "
-        f"{found.energy_p05_j / 3600.0:.2f} to {found.energy_p95_j / 3600.0:.2f} Wh ({why}); the battery lasts: "
+        f"{found.left_m:.0f} m to go take {range_words(found.energy_j, found.energy_p05_j, found.energy_p95_j)} "
+        f"({why}); the battery lasts: "
         f"{probability_words(found.probability)}, {100.0 * found.charge_at_end:.0f} % left at the end."
     )
     if found.off_route_m > OFF_ROUTE_M:

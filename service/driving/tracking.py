@@ -6,9 +6,9 @@ Samples may come in any order within `LATE_S`: a late one is put where it belong
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,8 @@ MOST_HELD = 1000
 """Samples that are kept for late ones: 200 a second."""
 GAP_S = 10.0
 """Longest time between samples over which the power is interpolated and learnt from [s]."""
+LONGEST_GAP_S = 3600.0
+"""Setting: what was taken over a longer time without samples is not known, and the clock may have jumped [s]."""
 OFF_ROUTE_M = 3.0
 """Setting: beside the route by more, the robot drives over other ground, from which nothing is learnt [m]."""
 MOST_ALARMS = 20
@@ -91,30 +93,41 @@ class Tracking:
         known.mean, known.covariance = np.array(self.state.mean), np.array(self.state.covariance)
         return known
 
-    def add(self, sample: Sample) -> None:
-        """Take in a sample."""
-        if not all(math.isfinite(value) for value in sample[:4]):
-            raise InputError(f"a sample needs finite time, place and power, got {sample}")
-        times = [one.time_s for one, _ in self._recent]
-        place = bisect_left(times, sample.time_s)
-        if (place < len(times) and times[place] == sample.time_s) or (not place and self._too_late(sample)):
-            self.unused += 1
+    def add(self, samples: Iterable[Sample]) -> None:
+        """Take in samples that came together, in any order. Raises InputError, and takes in none, if one is wrong."""
+        given = list(samples)
+        new = self._not_known(given)
+        if not new:
+            self.unused += len(given)
             return
-        after = [one for one, _ in self._recent[place:]]
-        if after:
-            self.state = self._recent[place][1]
-            del self._recent[place:]
-        for one in [sample, *after]:
+        first = min(new)
+        place = next((k for k, (one, _) in enumerate(self._recent) if one.time_s > first), len(self._recent))
+        before = self._recent[place][1] if place < len(self._recent) else self.state
+        coming = sorted([*new.values(), *(one for one, _ in self._recent[place:])])
+        _check_gaps(before.last, coming)
+        self.unused += len(given) - len(new)
+        del self._recent[place:]
+        self.state = before
+        for one in coming:
             self._recent.append((one, self.state))
             self.state = self._after(self.state, one)
-        oldest = self._recent[-1][0].time_s - LATE_S
-        while len(self._recent) > MOST_HELD or self._recent[0][0].time_s < oldest:
-            self._recent.pop(0)
+        oldest = coming[-1].time_s - LATE_S
+        kept = next(k for k, (one, _) in enumerate(self._recent) if one.time_s >= oldest)
+        del self._recent[: max(kept, len(self._recent) - MOST_HELD)]
 
-    def _too_late(self, sample: Sample) -> bool:
-        """Whether everything that is kept was read after it."""
+    def _not_known(self, given: list[Sample]) -> dict[float, Sample]:
+        """Those that are neither too late nor there already, by their time."""
+        known = {one.time_s for one, _ in self._recent}
         before = self._recent[0][1] if self._recent else self.state
-        return before.last is not None and sample.time_s <= before.last.time_s
+        read = -math.inf if before.last is None else before.last.time_s
+        oldest = -math.inf if self.state.last is None else self.state.last.time_s - LATE_S
+        new: dict[float, Sample] = {}
+        for sample in given:
+            if not all(math.isfinite(value) for value in sample[:4]):
+                raise InputError(f"a sample needs finite time, place and power, got {sample}")
+            if sample.time_s > read and sample.time_s >= oldest and sample.time_s not in known:
+                new.setdefault(sample.time_s, sample)
+        return new
 
     def as_dict(self) -> dict[str, Any]:
         """Return all that another process needs to go on, JSON-able."""
@@ -124,8 +137,7 @@ class Tracking:
     def restore(self, values: Mapping[str, Any]) -> None:
         """Go on from what `as_dict` wrote."""
         self.state, self._recent = _read(values["state"]), []
-        for one in values["recent"]:
-            self.add(_sample(one))
+        self.add(_sample(one) for one in values["recent"])
         self.unused = int(values["unused"])
 
     def _after(self, before: State, sample: Sample) -> State:
@@ -181,6 +193,17 @@ class Tracking:
         state.mean, state.covariance = known.mean.tolist(), known.covariance.tolist()
         state.learnt_m += float(length[0])
         state.row_m, state.row_j, state.row_s = state.at_m, 0.0, 0.0
+
+
+def _check_gaps(last: Sample | None, samples: list[Sample]) -> None:
+    for before, after in pairwise(samples if last is None else [last, *samples]):
+        if (gap := after.time_s - before.time_s) > LONGEST_GAP_S:
+            raise InputError(
+                f"a sample at {after.time_s:g} s comes {gap:g} s after the one before, at most {LONGEST_GAP_S:g} s are "
+                "followed: begin a new drive, or leave the sample out if its clock was wrong",
+                found=gap,
+                limit=LONGEST_GAP_S,
+            )
 
 
 def _plain(sample: Sample) -> list[float | None]:

@@ -86,7 +86,7 @@ def event_schema(*names: str) -> dict[str, Any]:
 
 
 OPEN_PATHS = ("/healthz", "/readyz")
-KEEPING = ("/v1/heightmaps", "/v1/costmaps", "/v1/runs", "/v1/calibrations")
+KEEPING = ("/v1/heightmaps", "/v1/costmaps", "/v1/runs", "/v1/calibrations", "/v1/costmaps/{costmap_id}/drives")
 """Paths to which what is kept is posted."""
 
 RETRY_AFTER = {

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from sqlalchemy import select
 
-from joulemap.model.errors import ConflictError
+from joulemap.model.errors import ConflictError, NotFoundError
 from joulemap.planner.stored_planner import StoredPlanner
-from joulemap.service.exports.clearance import price_given_path
+from joulemap.service.driving.ahead import check_points
 from joulemap.service.http.job_events import JobState, Look
 from joulemap.service.http.open_maps import OpenMaps
 from joulemap.service.library.drive import Drive
@@ -25,7 +25,7 @@ from joulemap.service.questions.parts import battery_of
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import RUNNING, DriveRow
 
-_OPEN = 256  # drives whose routes are kept in memory
+_OPEN, _OPEN_M = 256, 200_000.0  # drives whose routes are kept in memory, and the length of these together [m]
 _TRIES = 5
 
 
@@ -69,32 +69,48 @@ class Drives:
         known = self._known(drive_id)
         with known.lock:
             for _ in range(_TRIES):
-                row = store.drive(drive_id)
+                row = self._row(store, drive_id)
                 if known.drive is None or known.updates != row.updates:
                     known.drive = known.drive or self._made(row.costmap_id, row.request)
                     known.drive.restore(row.state)
                 drive, known.updates = known.drive, -1  # until what follows is kept
-                for sample in wanted.samples:
-                    drive.update(**{name: getattr(sample, name) for name in type(sample).model_fields})
+                samples = ({name: getattr(one, name) for name in type(one).model_fields} for one in wanted.samples)
+                drive.tracking.add([drive.sample(**one) for one in samples])
                 state, forecast = drive.as_dict(), drive.forecast().as_dict()
-                if store.note_drive(row, state, forecast):
+                if store.note_drive(row, state, forecast, drive.tracking.unused):
                     known.updates = row.updates = row.updates + 1
-                    row.state, row.forecast = state, forecast
+                    row.state, row.forecast, row.unused = state, forecast, drive.tracking.unused
                     return row
         raise ConflictError(f"drive {drive_id} is updated by others at the same moment: send the samples again")
+
+    def forget(self, drive_id: str) -> None:
+        """Keep nothing of a drive in memory: it was deleted."""
+        with self._lock:
+            self._open.pop(drive_id, None)
+
+    def _row(self, store: Store, drive_id: str) -> DriveRow:
+        try:
+            return store.drive(drive_id)
+        except NotFoundError:
+            self.forget(drive_id)
+            raise
 
     def _made(self, costmap_id: str, request: Mapping[str, Any]) -> Drive:
         with self._maps.for_pricing(costmap_id) as planner:
             points = np.array(request["path"])
+            check_points(points)
             if isinstance(planner, StoredPlanner):
                 planner.read_along(points)
-            route = price_given_path(planner.lattice, points)
-            return Drive(planner.lattice, route, battery_of(request["battery"], planner.lattice.robot))
+            return Drive.along(planner.lattice, points, battery_of(request["battery"], planner.lattice.robot))
 
     def _known(self, drive_id: str) -> _Open:
         with self._lock:
             known = self._open.setdefault(drive_id, _Open())
             self._open.move_to_end(drive_id)
-            while len(self._open) > _OPEN:
+            while len(self._open) > 1 and (len(self._open) > _OPEN or self._length_m() > _OPEN_M):
                 self._open.popitem(last=False)
         return known
+
+    def _length_m(self) -> float:
+        drives = (known.drive for known in self._open.values())
+        return sum(drive.tracking.metres.length_m for drive in drives if drive is not None)

@@ -9,10 +9,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from joulemap.model.errors import TooLargeError
 from joulemap.service.problems import MEDIA_TYPE, problem_of
 
-_MOST = {  # the largest question is a path of 100,000 points of up to three numbers
-    b":": (2_000, "names of fields"),
+_MOST = {  # the largest question is a path of 100,000 points of up to three numbers, or 500 samples of a drive
+    b":": (4_100, "names of fields"),
     b"[": (110_000, "lists"),
-    b"{": (1_000, "objects"),
+    b"{": (1_100, "objects"),
     b",": (500_000, "values"),
 }
 """Most of each mark in a body of JSON, and what it stands for. They are counted before the body is parsed, because

@@ -19,6 +19,7 @@ from joulemap.service.models import DEFAULT_MODEL, find_predictor
 from joulemap.service.places import Places
 from joulemap.service.questions import matrix, path, tour
 from joulemap.service.questions.asking import asks
+from joulemap.service.questions.drive import DriveRequest
 from joulemap.service.questions.given import battery_with, checked
 from joulemap.service.questions.matrix import EnergyMatrix, MatrixRequest
 from joulemap.service.questions.parts import BatteryIn, battery_of
@@ -191,13 +192,17 @@ class RouteQuestions(CostMapBase):
         Raises
         ------
         InputError
-            If the route has no length.
+            If the route is no path, is shorter than 1 cm or longer than 20 km, or the battery is none.
         """
         if isinstance(route, PlannedRoute):
             route = route.route
-        if not isinstance(route, Route):
-            route = price_given_path(self.lattice, Places(self.lattice.frame).path(list(route)))
-        return Drive(self.lattice, route, Battery(self.robot.battery_wh) if battery is None else battery)
+        path = route.points[:, :2] if isinstance(route, Route) else route
+        wanted = checked(DriveRequest, {"path": path, "battery": battery})
+        if not isinstance(battery, Battery):
+            battery = battery_of(wanted.battery, self.robot)
+        if isinstance(route, Route):
+            return Drive(self.lattice, route, battery)
+        return Drive.along(self.lattice, Places(self.lattice.frame).path(list(route)), battery)
 
     def speeds(
         self,

@@ -14,7 +14,7 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Route
 from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.coordinates import world_point
-from joulemap.service.driving.ahead import metres_of, prior_of
+from joulemap.service.driving.ahead import check_length, check_points, metres_of, prior_of
 from joulemap.service.driving.forecast import Forecast, forecast
 from joulemap.service.driving.tracking import Sample, Tracking
 from joulemap.service.driving.updated import BetterRoute, better_route, updated_lattice
@@ -41,17 +41,42 @@ class Drive:
     Raises
     ------
     InputError
-        If the route has no length.
+        If the route is shorter than 1 cm or longer than 20 km.
     """
 
     def __init__(self, lattice: CostLattice, route: Route, battery: Battery) -> None:
-        if not route.length_m > 0.0:
-            raise InputError(f"a drive needs a route with a length, this one has {route.length_m} m")
+        check_length(route.length_m)
         self.lattice, self.route, self.battery = lattice, route, battery
         metres = metres_of(lattice, route)
         prior = prior_of(lattice, metres)
         self._ahead = Ahead.of(prior, metres.columns, metres.std_j)
         self.tracking = Tracking(metres, prior, lattice.robot.idle_power_w, lattice.robot.speed_mps)
+
+    @classmethod
+    def along(cls, lattice: CostLattice, points: np.ndarray, battery: Battery) -> Drive:
+        """Follow a drive along world points.
+
+        Parameters
+        ----------
+        lattice : CostLattice
+            The cost map.
+        points : ndarray of float, (n, 2)
+            World x, y of the route [m].
+        battery : Battery
+            At the start.
+
+        Returns
+        -------
+        Drive
+            At its start.
+
+        Raises
+        ------
+        InputError
+            If the route is shorter than 1 cm or longer than 20 km.
+        """
+        check_points(points)  # before they are priced
+        return cls(lattice, price_given_path(lattice, points), battery)
 
     def update(
         self,
@@ -82,8 +107,23 @@ class Drive:
         Raises
         ------
         InputError
-            If a value is missing or not finite.
+            If a value is missing or not finite, or the sample comes more than an hour after the one before.
         """
+        self.tracking.add(
+            [self.sample(time_s, position, power_w=power_w, voltage_v=voltage_v, current_a=current_a, charge=charge)]
+        )
+
+    def sample(
+        self,
+        time_s: float,
+        position: PlaceLike,
+        *,
+        power_w: float | None = None,
+        voltage_v: float | None = None,
+        current_a: float | None = None,
+        charge: float | None = None,
+    ) -> Sample:
+        """Return a moment of the drive as `tracking` takes it in, several at once; parameters are those of `update`."""
         if power_w is None:
             if voltage_v is None or current_a is None:
                 raise InputError("a sample needs `power_w`, or `voltage_v` and `current_a`")
@@ -91,9 +131,7 @@ class Drive:
         if charge is not None and not 0.0 <= charge <= 1.0:
             raise InputError(f"charge is {charge:g}; it lies between 0 and 1", charge=charge)
         place = world_point(self.lattice.frame, position, name="position")
-        self.tracking.add(
-            Sample(float(time_s), place.x, place.y, float(power_w), math.nan if charge is None else float(charge))
-        )
+        return Sample(float(time_s), place.x, place.y, float(power_w), math.nan if charge is None else float(charge))
 
     def forecast(self) -> Forecast:
         """Return what is expected of the rest.

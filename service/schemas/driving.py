@@ -62,6 +62,7 @@ class DriveOut(ResponseModel):
     costmap_id: str = Field(description="of the cost map of its route")
     created_at: dt.datetime
     updates: int = Field(description="how often its log was sent")
+    unused: int = Field(description="samples that were not used: too late, or there already")
     forecast: ForecastOut
 
 
@@ -90,5 +91,6 @@ def drive_out(row: DriveRow) -> DriveOut:
         costmap_id=row.costmap_id,
         created_at=row.created_at.replace(tzinfo=dt.UTC),
         updates=row.updates,
+        unused=row.unused or 0,
         forecast=ForecastOut.model_validate(row.forecast),
     )

@@ -6,6 +6,7 @@ import secrets
 from typing import Any
 
 from sqlalchemy import delete, select, update
+from sqlalchemy.orm import defer
 
 from joulemap.service.storage.kept import Kept, now
 from joulemap.service.storage.tables import DRIVE, DriveRow
@@ -28,6 +29,7 @@ class KeptDrives(Kept):
             costmap_id=costmap_id,
             request=request,
             updates=0,
+            unused=0,
             state=state,
             forecast=forecast,
         )
@@ -44,14 +46,15 @@ class KeptDrives(Kept):
         return self._row(DriveRow, "is no drive", drive_id=drive_id)
 
     def drives(self, *, limit: int, offset: int) -> tuple[list[DriveRow], int]:
-        """Return one page of the drives, newest first, and how many there are in all."""
-        return self._page(DriveRow, limit, offset)
+        """Return one page of the drives, newest first, without routes and states, and how many there are in all."""
+        return self._page(DriveRow, limit, offset, defer(DriveRow.request), defer(DriveRow.state))
 
-    def note_drive(self, row: DriveRow, state: dict[str, Any], forecast: dict[str, Any]) -> bool:
+    def note_drive(self, row: DriveRow, state: dict[str, Any], forecast: dict[str, Any], unused: int) -> bool:
         """Replace what is known of a drive. Result: False, and nothing is replaced, where it has changed since."""
         then = update(DriveRow).where(DriveRow.id == row.id, DriveRow.updates == row.updates)
         with self._sessions.begin() as session:
-            done = session.execute(then.values(updates=row.updates + 1, state=state, forecast=forecast))
+            values = {"updates": row.updates + 1, "state": state, "forecast": forecast, "unused": unused}
+            done = session.execute(then.values(values))
         return bool(done.rowcount)  # type: ignore[attr-defined]
 
     def delete_drive(self, drive_id: str) -> None:

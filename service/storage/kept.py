@@ -263,12 +263,12 @@ class Kept:
             raise NotFoundError(f"there {there} {row_id[:80]!r}", **{name: row_id[:80]})
         return row
 
-    def _page(self, table: type[Any], limit: int, offset: int) -> tuple[list[Any], int]:
+    def _page(self, table: type[Any], limit: int, offset: int, *options: Any) -> tuple[list[Any], int]:
         with self._sessions() as session:
             own = self._caller.own
             total = session.scalar(own(select(func.count()).select_from(table), table)) or 0
             query = own(select(table), table).order_by(table.created_at.desc(), table.id).limit(limit).offset(offset)
-            return list(session.scalars(query)), total
+            return list(session.scalars(query.options(*options))), total
 
 
 def _sources(row: Any) -> list[tuple[Any, list[str]]]:

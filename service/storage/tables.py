@@ -173,6 +173,8 @@ class DriveRow(Base):
         How often `state` was replaced: who replaces another one than he read does so in vain.
     state, forecast : dict
         What is known of the drive, and of its rest.
+    unused : int or None
+        Samples that were too late or there already; empty in older tables.
     """
 
     __tablename__ = "drives"
@@ -183,6 +185,7 @@ class DriveRow(Base):
     costmap_id: Mapped[str] = mapped_column(index=True)
     request: Mapped[dict[str, Any]] = mapped_column(JSON)
     updates: Mapped[int] = mapped_column(default=0)
+    unused: Mapped[int | None] = mapped_column(default=0)
     state: Mapped[dict[str, Any]] = mapped_column(JSON)
     forecast: Mapped[dict[str, Any]] = mapped_column(JSON)
 

@@ -18,6 +18,7 @@ from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 import joulemap as jm
+from joulemap.model.errors import StorageFullError
 from joulemap.service.cli import app
 from tests.service.clusters import free_port
 from tests.service.conftest import GOAL, START
@@ -88,6 +89,65 @@ def test_a_wild_fix_moves_nobody(client: TestClient, costmap_id: str, path: list
     assert now["off_route_m"] < 0.1
 
 
+def test_a_request_has_500_samples_however_they_are_written_and_no_more(
+    client: TestClient, costmap_id: str, path: list[list[float]]
+) -> None:
+    drive = client.post(f"/v1/costmaps/{costmap_id}/drives", json={"path": path}).json()
+    url, other = f"/v1/drives/{drive['id']}/updates", {"voltage_v": 24.0, "current_a": 3.0, "charge": 0.5}
+    log = [{**samples(path, 0.2)[0], "time_s": 0.1 * k, **other} for k in range(501)]
+    assert client.post(url, json={"samples": log}).status_code == 422
+    now = client.post(url, json={"samples": log[:500]})
+    assert now.status_code == 200, now.text
+    assert now.json()["unused"] == 0
+    assert client.post(url, json={"samples": log[:2]}).json()["unused"] == 2
+    places = [{**one, "position": {"lat": 36.0, "lon": -4.0}} for one in log[:500]]
+    assert client.post(url, json={"samples": places}).status_code != 413
+
+
+def test_routes_that_are_too_short_or_long_are_refused(
+    client: TestClient, costmap_id: str, path: list[list[float]]
+) -> None:
+    here, there = path[0][:2], path[-1][:2]
+    near = [here[0] + 1e-9, here[1]]
+    for wanted, words in (([here, near], "at least 0.01 m"), ([here, there] * 2000, "at most 20000 m")):
+        refused = client.post(f"/v1/costmaps/{costmap_id}/drives", json={"path": wanted})
+        assert refused.status_code == 422
+        assert words in refused.json()["detail"]
+
+
+def test_a_deleted_drive_is_not_kept_in_memory(client: TestClient, costmap_id: str, path: list[list[float]]) -> None:
+    drive = client.post(f"/v1/costmaps/{costmap_id}/drives", json={"path": path}).json()
+    client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": samples(path, 1.0)})
+    open_drives = client.app.state.service.drives._open  # type: ignore[attr-defined]
+    assert drive["id"] in open_drives
+    client.delete(f"/v1/drives/{drive['id']}")
+    assert drive["id"] not in open_drives
+
+
+def test_a_drive_whose_cost_map_was_deleted_is_a_conflict(
+    client: TestClient, heightmap_id: str, path: list[list[float]]
+) -> None:
+    wanted = {"heightmap_id": heightmap_id, "model": "physics", "headings": 8}
+    costs = client.post("/v1/costmaps", json=wanted, headers={"Prefer": "wait=100"}).json()
+    drive = client.post(f"/v1/costmaps/{costs['id']}/drives", json={"path": path}).json()
+    assert client.delete(f"/v1/costmaps/{costs['id']}").status_code == 204
+    answer = client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": samples(path, 1.0)})
+    assert answer.status_code == 409
+    assert "was deleted" in answer.json()["detail"]
+    assert client.get(f"/v1/drives/{drive['id']}").json() == drive
+
+
+def test_no_drive_begins_without_room(
+    client: TestClient, costmap_id: str, path: list[list[float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("joulemap.service.storage.room.Room.check", _no_room)
+    assert client.post(f"/v1/costmaps/{costmap_id}/drives", json={"path": path}).status_code == 507
+
+
+def _no_room(*_: object) -> None:
+    raise StorageFullError("no room")
+
+
 def test_nothing_acknowledged_is_lost_by_kill_9(tmp_path: Path, hill_tif: bytes) -> None:
     port = free_port()
     settings = {"JOULEMAP_DATA_DIR": str(tmp_path), "JOULEMAP_PORT": str(port), "JOULEMAP_WARM_MODELS": "[]"}
@@ -155,3 +215,25 @@ def test_a_log_is_replayed_as_if_live(tmp_path: Path) -> None:
     end = said["end"]
     assert end["energy_j"] == pytest.approx(POWER_W / 0.5 * end["left_m"], rel=0.05)
     assert "more than planned" in result.output
+
+
+@pytest.mark.parametrize(
+    ("away", "words"),
+    [((0.0, 0.0), "arrival at the end of the route"), ((0.0, 80.0), "left the route"), ((0.0, 1e6), "nowhere on the")],
+)
+def test_a_replay_ends_with_the_route(tmp_path: Path, away: tuple[float, float], words: str) -> None:
+    jm.costmap(jm.heightmap(np.zeros((40, 120)), resolution_m=1.0), model="physics").save(tmp_path / "flat.zarr")
+    (tmp_path / "route.csv").write_text("x_m,y_m\n10,20\n30,20\n")
+    there = samples([[10.0, 20.0], [110.0, 20.0]], 60.0)
+    back = [{**one, "time_s": 239.0 - one["time_s"]} for one in reversed(there)]
+    lines = ["t,x,y,power"]
+    for k, one in enumerate([*there, *back]):
+        x, y = one["position"]
+        moved = (0.0, 0.0) if away[1] < 1e6 and k < 20 else away
+        lines.append(f"{one['time_s']},{x + moved[0]},{y + moved[1]},{one['power_w']}")
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    files = [tmp_path / "log.csv", "--map", tmp_path / "flat.zarr", "--route", tmp_path / "route.csv"]
+    result = CliRunner().invoke(app, ["follow", *map(str, files)])
+    assert words in " ".join(result.output.split())
+    assert (result.exit_code == 0) == (words != "nowhere on the")
+    assert ("for 20 of 20 m" in result.output) == words.startswith("arrival")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import joulemap as jm
+from joulemap.model.errors import InputError
 from joulemap.model.loop.calibration_file import read_calibrated, save_calibrated
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.drive_alarms import Cusum, threshold_of
@@ -193,3 +194,62 @@ def test_another_way_is_proposed_once_climbing_is_known_to_cost_more() -> None:
     assert better is not None
     assert better.saving_j > 1.6 * better.saving_std_j > 0.0
     assert better.route.points[:, 1].min() < 16.0
+
+
+def test_an_old_sample_and_one_after_a_jump_of_the_clock_are_not_taken() -> None:
+    drive = flat().drive([(10.0, 20.0), (110.0, 20.0)])
+    drive.update(0.0, (10.0, 20.0), power_w=60.0)
+    drive.update(-3600.0, (10.0, 20.0), power_w=60.0)
+    assert (drive.tracking.unused, drive.forecast().used_j) == (1, 0.0)
+    with pytest.raises(InputError, match="at most 3600 s"):
+        drive.update(1e11, (10.0, 20.0), power_w=60.0)
+    drive.update(2.0, (11.0, 20.0), power_w=60.0)
+    assert drive.forecast().used_j == pytest.approx(120.0)
+
+
+def test_late_samples_that_come_together_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    in_order, late = (flat().drive([(10.0, 20.0), (110.0, 20.0)]) for _ in range(2))
+    samples = [in_order.sample(t, at, power_w=power) for t, at, power in driven(in_order, 1.3, until_m=10.0)]
+    in_order.tracking.add(samples)
+    late.tracking.add(samples[:1] + samples[-8:])
+    read: list[float] = []
+    after = late.tracking._after
+    monkeypatch.setattr(late.tracking, "_after", lambda state, one: (read.append(one.time_s), after(state, one))[1])
+    late.tracking.add(samples[-5:] + samples[-9:-12:-1])  # three are new, and before eight that are there
+    assert len(read) == 11
+    assert late.tracking.unused == 5
+    assert late.forecast().used_j == pytest.approx(in_order.forecast().used_j)
+
+
+@pytest.mark.parametrize(("end_x", "words"), [(10.0 + 1e-9, "at least 0.01 m"), (10.0, "at least 0.01 m")])
+def test_a_route_without_a_length_is_refused(end_x: float, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        flat().drive([(10.0, 20.0), (end_x, 20.0)])
+
+
+def test_a_route_that_is_too_long_is_refused_before_it_is_priced() -> None:
+    zigzag = [(10.0 + 100.0 * (k % 2), 20.0) for k in range(202)]
+    with pytest.raises(InputError, match="20100 m long, and a drive of at most 20000 m"):
+        flat().drive(zigzag)
+
+
+def test_what_is_no_path_and_no_battery_is_refused_by_name() -> None:
+    with pytest.raises(InputError, match="path"):
+        flat().drive([])
+    with pytest.raises(InputError, match="battery"):
+        flat().drive([(10.0, 20.0), (110.0, 20.0)], battery=280.0)  # type: ignore[arg-type]
+
+
+def test_the_sentence_says_what_the_forecast_does_where_no_cause_is_certain() -> None:
+    for hill in (0.0, 0.05):
+        ground = np.tile(hill * np.arange(120.0), (40, 1))
+        drive = jm.costmap(jm.heightmap(ground, resolution_m=1.0), model="physics").drive([(10.0, 20.0), (110.0, 20.0)])
+        planned = drive.route.energy_j / drive.route.duration_s
+        for time_s, position, _ in driven(drive, 1.0):
+            drive.update(time_s, position, power_w=2.0 * planned)
+        now = drive.forecast()
+        assert now.more.name == "level", hill
+        more = 100.0 * (now.energy_j / now.planned_j - 1.0)
+        assert f"{100.0 * now.more.share:.0f} % more" in now.text
+        assert 100.0 * now.more.share == pytest.approx(more, abs=2.0)
+        assert "J" not in now.text

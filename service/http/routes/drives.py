@@ -9,6 +9,7 @@ from anyio.to_thread import run_sync
 from fastapi import APIRouter, Response
 from sse_starlette import ServerSentEvent
 
+from joulemap.model.errors import ConflictError, NotFoundError
 from joulemap.service.http.access_at_once import EventStream
 from joulemap.service.http.asked import answer_of
 from joulemap.service.http.dependencies import KernelsDep, Limit, Offset, ServiceDep
@@ -38,6 +39,7 @@ async def begin_drive(costmap_id: str, wanted: DriveRequest, service: KernelsDep
 
     def _begin() -> DriveOut:
         service.done_costmap(costmap_id)
+        service.store.check_room()
         return drive_out(service.drives.begin(service.store, costmap_id, wanted))
 
     return await service.prices.do(costmap_id, _begin)
@@ -48,11 +50,19 @@ async def update_drive(drive_id: str, wanted: UpdateRequest, service: KernelsDep
     """Send what the log of a drive says since the last update, at any rate, and get the forecast of the rest.
 
     Samples may come in any order within five seconds. Once the answer is there they are kept. A request that was not
-    answered may be sent again: a sample that is there already changes nothing.
+    answered may be sent again: a sample that is there already changes nothing, and is counted in `unused`, as one that
+    is too late. A sample more than an hour after the one before is refused.
     """
     row = await run_sync(service.store.drive, drive_id)
 
     def _update() -> Response:
+        try:
+            service.done_costmap(row.costmap_id)
+        except NotFoundError:
+            raise ConflictError(
+                f"the cost map {row.costmap_id} of drive {drive_id} was deleted: begin a drive over another one",
+                costmap_id=row.costmap_id,
+            ) from None
         return answer_of(drive_out(service.drives.update(service.store, drive_id, wanted)))
 
     return await service.prices.do(row.costmap_id, _update)
@@ -82,6 +92,7 @@ async def watch_drive(drive_id: str, service: ServiceDep) -> EventStream:
 def delete_drive(drive_id: str, service: ServiceDep) -> None:
     """Delete a drive."""
     service.store.delete_drive(drive_id)
+    service.drives.forget(drive_id)
 
 
 async def _events(service: Service, drive_id: str) -> AsyncIterator[ServerSentEvent]:
