@@ -74,8 +74,7 @@ class Drives:
                     known.drive = known.drive or self._made(row.costmap_id, row.request)
                     known.drive.restore(row.state)
                 drive, known.updates = known.drive, -1  # until what follows is kept
-                samples = ({name: getattr(one, name) for name in type(one).model_fields} for one in wanted.samples)
-                drive.tracking.add([drive.sample(**one) for one in samples])
+                drive.take({name: getattr(one, name) for name in type(one).model_fields} for one in wanted.samples)
                 state, forecast = drive.as_dict(), drive.forecast().as_dict()
                 if store.note_drive(row, state, forecast, drive.tracking.unused):
                     known.updates = row.updates = row.updates + 1

@@ -202,7 +202,7 @@ class RouteQuestions(CostMapBase):
             battery = battery_of(wanted.battery, self.robot)
         if isinstance(route, Route):
             return Drive(self.lattice, route, battery)
-        return Drive.along(self.lattice, Places(self.lattice.frame).path(list(route)), battery)
+        return Drive.along(self.lattice, Places(self.lattice.frame).path(wanted.path), battery)
 
     def speeds(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -110,10 +110,25 @@ class Drive:
             If a value is missing or not finite, or the sample comes more than an hour after the one before.
         """
         self.tracking.add(
-            [self.sample(time_s, position, power_w=power_w, voltage_v=voltage_v, current_a=current_a, charge=charge)]
+            [self._sample(time_s, position, power_w=power_w, voltage_v=voltage_v, current_a=current_a, charge=charge)]
         )
 
-    def sample(
+    def take(self, samples: Iterable[Mapping[str, Any]]) -> None:
+        """Take in moments that came together, in any order: late ones cost no more than others.
+
+        Parameters
+        ----------
+        samples : iterable of mapping
+            The parameters of `update` by name, for each moment.
+
+        Raises
+        ------
+        InputError
+            As `update` does; none of them is taken in then.
+        """
+        self.tracking.add([self._sample(**one) for one in samples])
+
+    def _sample(
         self,
         time_s: float,
         position: PlaceLike,
@@ -123,7 +138,6 @@ class Drive:
         current_a: float | None = None,
         charge: float | None = None,
     ) -> Sample:
-        """Return a moment of the drive as `tracking` takes it in, several at once; parameters are those of `update`."""
         if power_w is None:
             if voltage_v is None or current_a is None:
                 raise InputError("a sample needs `power_w`, or `voltage_v` and `current_a`")

@@ -15,6 +15,7 @@ import httpx
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from sqlalchemy import inspect
 from typer.testing import CliRunner
 
 import joulemap as jm
@@ -62,6 +63,8 @@ def test_a_drive_is_followed_and_its_forecast_corrects_itself(
     again = client.post(f"{url}/updates", json={"samples": log[-5:]}).json()
     assert again["forecast"] == now["forecast"]  # what was sent before changes nothing
     assert drive["id"] in [one["id"] for one in client.get("/v1/drives").json()["items"]]
+    listed, _ = client.app.state.service.store.drives(limit=1, offset=0)  # type: ignore[attr-defined]
+    assert {"request", "state"} <= inspect(listed[0]).unloaded  # a page does not read every route
     assert client.delete(url).status_code == 204
     assert client.get(url).status_code == 404
 

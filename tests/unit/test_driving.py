@@ -209,7 +209,7 @@ def test_an_old_sample_and_one_after_a_jump_of_the_clock_are_not_taken() -> None
 
 def test_late_samples_that_come_together_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     in_order, late = (flat().drive([(10.0, 20.0), (110.0, 20.0)]) for _ in range(2))
-    samples = [in_order.sample(t, at, power_w=power) for t, at, power in driven(in_order, 1.3, until_m=10.0)]
+    samples = [in_order._sample(t, at, power_w=power) for t, at, power in driven(in_order, 1.3, until_m=10.0)]
     in_order.tracking.add(samples)
     late.tracking.add(samples[:1] + samples[-8:])
     read: list[float] = []
