@@ -65,7 +65,7 @@ class Forecast:
         Distance that was learnt from [m].
     more : Cause
         How much more the rest takes than planned, for what was learnt: the share of the one cause that is seen, or of
-        all energy, named "level", where causes cannot be told apart.
+        all energy, named "level", where none is certain.
     causes : tuple of Cause
         What is known of each cause.
     alarms : tuple of Alarm
