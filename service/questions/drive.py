@@ -55,4 +55,4 @@ class SampleIn(Request):
 class UpdateRequest(Request):
     """What the log of a drive says since the last update. A sample that was sent before changes nothing."""
 
-    samples: list[SampleIn] = Field(min_length=1, max_length=MOST_SAMPLES)
+    samples: list[SampleIn] = Field(min_length=1, max_length=MOST_SAMPLES, description="of the log, in any order")

@@ -25,11 +25,16 @@ Values = list[list[float | None]]
 class MatrixRequest(OnMap):
     """From which places to which."""
 
-    starts: list[Place] = Field(min_length=1, max_length=MAX_PLACES, examples=[[[12.5, 40.5], [60.0, 50.0]]])
+    starts: list[Place] = Field(
+        min_length=1,
+        max_length=MAX_PLACES,
+        description="world points [m]",
+        examples=[[[12.5, 40.5], [60.0, 50.0]]],
+    )
     goals: list[Place] = Field(
         min_length=1,
         max_length=MAX_PLACES,
-        description="the starts again, for the ways between all of them",
+        description="world points [m]; the starts again, for the ways between all of them",
         examples=[[[80.0, 15.0]]],
     )
     neighbours: Literal[8, 16, 32] = Field(default=32, description="directions of a step")

@@ -64,7 +64,9 @@ LayerRole = Literal["kinds", "obstacles", "free", "factor", "cost"]
 class KindIn(Request):
     """What a kind of ground costs: one of `rolling_resistance` and `factor`, or nothing where it is `blocked`."""
 
-    rolling_resistance: float | None = Field(default=None, ge=0.0, le=MOST_RESISTANCE, examples=[0.06])
+    rolling_resistance: float | None = Field(
+        default=None, ge=0.0, le=MOST_RESISTANCE, description="in place of the robot's own", examples=[0.06]
+    )
     factor: float | None = Field(
         default=None,
         ge=0.0,
