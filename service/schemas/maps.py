@@ -61,6 +61,10 @@ class HeightmapOut(ResponseModel):
 LayerRole = Literal["kinds", "obstacles", "free", "factor", "cost"]
 
 
+StoredValue = Annotated[int, Field(ge=-(2**31), le=2**32 - 1)]
+"""A value of a raster, which has at most 32 bits."""
+
+
 class KindIn(Request):
     """What a kind of ground costs: one of `rolling_resistance` and `factor`, or nothing where it is `blocked`."""
 
@@ -82,7 +86,7 @@ class KindIn(Request):
         examples=[0.02],
     )
     blocked: bool = Field(default=False, description="no part of the robot may be over it", examples=[False])
-    value: list[int] | int = Field(
+    value: Annotated[list[StoredValue], Field(max_length=MOST_KINDS)] | StoredValue = Field(
         default=[],
         description="numbers that mean it where polygons have the property `kind`, `value` or `DN` as a number",
         examples=[2],

@@ -114,7 +114,7 @@ def test_known_attacks_are_refused(
 @pytest.mark.parametrize(
     ("body", "words"),
     [
-        (b"{" + b",".join(b'"k%d":1' % k for k in range(300_000)) + b"}", "more than 2,000 names of fields"),
+        (b"{" + b",".join(b'"k%d":1' % k for k in range(300_000)) + b"}", "more than 4,100 names of fields"),
         (b'{"path":[' + b"[0,0]," * 200_000 + b"[0,0]]}", "more than 110,000 lists"),
         (b'{"path":[' + b"0," * 2_000_000 + b"0]}", "more than 500,000 values"),
     ],
