@@ -125,7 +125,7 @@ class DriveFilter:
             self.covariance,
         )
 
-    def doubt(self) -> None:
+    def widen(self) -> None:
         """Forget how sure the estimate is, but not the estimate: after a change everything may be as different as
         between runs.
         """

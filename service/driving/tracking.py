@@ -189,7 +189,7 @@ class Tracking:
             assert state.last is not None
             alarm = Alarm(state.at_m, found[1], state.last.time_s, found[0])
             state.alarms = (*state.alarms, alarm)[-MOST_ALARMS:]
-            known.doubt()
+            known.widen()
         state.mean, state.covariance = known.mean.tolist(), known.covariance.tolist()
         state.learnt_m += float(length[0])
         state.row_m, state.row_j, state.row_s = state.at_m, 0.0, 0.0

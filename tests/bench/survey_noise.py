@@ -121,7 +121,7 @@ def times() -> None:
     noise = 0.05 * np.random.default_rng(0).standard_normal(clean.frame.shape)
     noisy = (clean.heights + noise).astype(np.float32)
     surveys = {
-        "told that there is no noise": (clean.heights, 0.0),
+        "noise given as none": (clean.heights, 0.0),
         "no noise, estimated": (clean.heights, None),
         "50 mm, estimated and taken out": (noisy, None),
     }

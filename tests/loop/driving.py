@@ -123,7 +123,7 @@ def followed(drives: Sequence[tuple[Driven, DrivePrior]], *, change: str = "") -
             now = np.s_[k : k + 1]
             step = known.learn(one.columns[now], one.measured[now], one.std[now])
             if sums.add(float(limited(step)[0]) / prior.change_std, driven[k], threshold) is not None:
-                known.doubt()
+                known.widen()
                 alarms.append(driven[k + 1])
             done = k + 1
             if done == n:

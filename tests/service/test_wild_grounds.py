@@ -150,7 +150,7 @@ def test_kinds_and_obstacles_over_the_hill_through_the_command_line(tmp_path: Pa
     near = (x > 500047.0) & (x < 500050.0) & (y > 4000029.5) & (y < 4000050.5)
     near |= (x > 500019.5) & (x < 500040.5) & (y > 4000039.5) & (y < 4000060.5)
     assert np.all(layered.blocked[(wall | pond) & (bare.blocked == Blocked.FREE)] == Blocked.OBSTACLE)
-    assert np.array_equal(layered.blocked[~near], bare.blocked[~near])  # unknown (205) is free, as told
+    assert np.array_equal(layered.blocked[~near], bare.blocked[~near])  # unknown (205) is free, as the legend says
     more = (layered.traction_per_m - bare.traction_per_m)[..., 0] / bare.robot.weight_n
     own = bare.robot.rolling_resistance
     free = (layered.blocked == Blocked.FREE) & ~near
