@@ -5,7 +5,7 @@ ARGS ?=
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.joulemap-installed
 
-.PHONY: help demo check test test-slow bench lint format docs openapi clean distclean
+.PHONY: help demo check test test-slow mutants bench lint format docs openapi clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -29,6 +29,9 @@ test: lint ## what must pass before a change is taken: linters, types, layers, d
 
 test-slow: $(INSTALLED) ## the tests that take minutes
 	$(BIN)/python -m pytest -m slow $(ARGS)
+
+mutants: $(INSTALLED) ## random changes of the product, and which of them the tests notice (ARGS="--mutants 60 --seed 1")
+	$(BIN)/python -m tests.mutants $(ARGS)
 
 bench: $(INSTALLED) ## seconds for every step, compared with SciPy, on this machine
 	$(BIN)/python -m tests.bench $(ARGS)

@@ -22,14 +22,13 @@ if TYPE_CHECKING:
     from joulemap.model.errors import JoulemapError
     from joulemap.model.robot import Robot
     from joulemap.model.terrain.heightmap import Heightmap
-    from joulemap.model.terrain.readers import read_heightmap
     from joulemap.planner.areas.energy_map import EnergyMap
     from joulemap.service.client import Client
     from joulemap.service.library.calibrations import CalibrationResult, calibrate
     from joulemap.service.library.costmaps import CostMap, StoredCostMap, costmap, open_costmap
     from joulemap.service.library.drive import Drive
     from joulemap.service.library.feasibility import Feasibility
-    from joulemap.service.library.heightmaps import heightmap, heightmap_from_runs
+    from joulemap.service.library.heightmaps import heightmap, heightmap_from_runs, read_heightmap
     from joulemap.service.library.layers import with_layers
     from joulemap.service.library.models import Evaluation, Model, evaluate, train
     from joulemap.service.library.planned_route import PlannedRoute
@@ -70,12 +69,11 @@ _HOMES = {
     "joulemap.model.battery": ("Battery",),
     "joulemap.model.robot": ("Robot",),
     "joulemap.model.terrain.heightmap": ("Heightmap",),
-    "joulemap.model.terrain.readers": ("read_heightmap",),
     "joulemap.planner.areas.energy_map": ("EnergyMap",),
     "joulemap.service.client": ("Client",),
     "joulemap.service.library.calibrations": ("CalibrationResult", "calibrate"),
     "joulemap.service.library.costmaps": ("CostMap", "StoredCostMap", "costmap", "open_costmap"),
-    "joulemap.service.library.heightmaps": ("heightmap", "heightmap_from_runs"),
+    "joulemap.service.library.heightmaps": ("heightmap", "heightmap_from_runs", "read_heightmap"),
     "joulemap.service.library.layers": ("with_layers",),
     "joulemap.service.library.models": ("Evaluation", "Model", "evaluate", "train"),
     "joulemap.service.library.drive": ("Drive",),

@@ -48,6 +48,9 @@ LONGEST_NAME = 200
 NAME_PATTERN = r"^[^\x00-\x1f\x7f-\x9f]+$"
 """A name has no control characters."""
 
+LEAST_EFFICIENCY = 0.1
+"""Of a drivetrain that drives."""
+
 ROBOT = {
     "mass_kg": Range(0.1, 1e5),
     "width_m": Range(0.01, 10.0),
@@ -60,11 +63,13 @@ ROBOT = {
     "max_grade_deg": Range(0.1, 60.0),
     "max_cross_slope_deg": Range(0.1, 60.0),
     "rolling_resistance": Range(0.0, 2.0),
+    "drivetrain_efficiency": Range(0.0, 1.0),
     "regeneration": Range(0.0, 0.99),
     "turn_j_per_rad": Range(0.0, 1e5),
     "tracking_std_m": Range(0.0, 10.0),
     "clearance_m": Range(0.0, 10.0),
     "centre_ahead_m": Range(-10.0, 10.0),
+    "min_turning_radius_m": Range(0.0, 100.0),
     "gravity_mps2": Range(0.01, 30.0),
 }
 """By attribute of `Robot`, in the unit that the name ends with."""
@@ -102,6 +107,9 @@ RESOLUTION_M = Range(1e-3, 1e4)
 
 SPACING_M = Range(0.01, 1e4)
 """Side of a cell of a cost map [m]."""
+
+HEADING_DEG = Range(-360.0, 360.0)
+"""A heading [deg, clockwise from north]."""
 
 HEADINGS = Range(4, 360)
 """Fewest and most heading bins of a cost map."""

@@ -49,6 +49,9 @@ class Robot:
         Steepest slope across the motion [deg].
     rolling_resistance : float
         mu of the paper's eq. 5 (dimensionless) as the battery sees it, drivetrain losses included.
+    drivetrain_efficiency : float
+        Share of the battery's energy that lifts the robot on a climb, 0.1 to 1, gears and motors together; 0 where it
+        is not known: `physics` then takes 1, and a network what its robots had.
     regeneration : float
         Share of the energy released on a descent that returns to the battery, 0 to 0.99.
     turn_j_per_rad : float
@@ -60,6 +63,8 @@ class Robot:
         Least distance between its outline and every obstacle [m].
     centre_ahead_m : float
         How far the middle of its outline lies ahead of the point that follows the route [m], negative behind it.
+    min_turning_radius_m : float
+        Radius of the tightest curve of that point [m]; 0 for a robot that turns on the spot.
     gravity_mps2 : float
         Gravity where it drives [m/s2]: 1.62 on the Moon, 3.71 on Mars.
 
@@ -85,11 +90,13 @@ class Robot:
     max_grade_deg: float = 25.0
     max_cross_slope_deg: float = 20.0
     rolling_resistance: float = 0.08
+    drivetrain_efficiency: float = 0.0
     regeneration: float = 0.0
     turn_j_per_rad: float = 0.0
     tracking_std_m: float = 0.1
     clearance_m: float = 0.0
     centre_ahead_m: float = 0.0
+    min_turning_radius_m: float = 0.0
     gravity_mps2: float = GRAVITY_MPS2
 
     def __post_init__(self) -> None:
@@ -105,6 +112,14 @@ class Robot:
                     limit=[allowed.low, allowed.high],
                 )
             object.__setattr__(self, key, float(value))
+        if 0.0 < self.drivetrain_efficiency < ranges.LEAST_EFFICIENCY:
+            raise RobotError(
+                f"robot.drivetrain_efficiency is {self.drivetrain_efficiency:g}; it must be from "
+                f"{ranges.LEAST_EFFICIENCY:g} to 1, or 0 where it is not known",
+                key="drivetrain_efficiency",
+                value=self.drivetrain_efficiency,
+                limit=ranges.LEAST_EFFICIENCY,
+            )
         if not self.name or not isinstance(self.name, str):
             raise RobotError(
                 f"robot.name is {ranges.short(self.name)!r}; it must be a text that is not empty", key="name"
@@ -122,12 +137,14 @@ class Robot:
         elsewhere = "" if self.gravity_mps2 == GRAVITY_MPS2 else f", under a gravity of {self.gravity_mps2:g} m/s2"
         place = f", its middle {self.centre_ahead_m:g} m ahead" if self.centre_ahead_m else ""
         place += f", {self.clearance_m:g} m clear of obstacles" if self.clearance_m else ""
+        place += f", curves of at least {self.min_turning_radius_m:g} m" if self.min_turning_radius_m else ""
+        geared = f", drivetrain {self.drivetrain_efficiency:g}" if self.drivetrain_efficiency else ""
         return (
             f"Robot {self.name}: {self.mass_kg:g} kg, {self.width_m:g} m wide, {self.length_m:g} m long{place}, "
             f"wheels of {self.wheel_radius_m:g} m radius, {self.speed_mps:g} m/s, battery {self.battery_wh:g} Wh at "
             f"{self.nominal_voltage_v:g} V, {self.idle_power_w:g} W idle, limits {self.max_grade_deg:g} deg along and "
-            f"{self.max_cross_slope_deg:g} deg across the slope, rolling resistance {self.rolling_resistance:g}, "
-            f"regeneration {self.regeneration:g}, turning {self.turn_j_per_rad:g} J/rad, "
+            f"{self.max_cross_slope_deg:g} deg across the slope, rolling resistance {self.rolling_resistance:g}"
+            f"{geared}, regeneration {self.regeneration:g}, turning {self.turn_j_per_rad:g} J/rad, "
             f"{self.tracking_std_m:g} m beside its path{elsewhere}"
         )
 

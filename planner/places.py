@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.errors import BlockedError
-from joulemap.model.frames import heading_bins, heading_vector
+from joulemap.model.threads import share_out
 from joulemap.planner.grid.search import joining_legs
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.lattice.obstacles import meets
 from joulemap.planner.pricing.integrator import Points, leg_prices_between
+from joulemap.planner.pricing.potential import parts_of
 
 FURTHEST_CELLS = 1000
 """Half the side of the largest window in which a free place is looked for."""
@@ -52,29 +51,13 @@ def free_places(lattice: CostLattice) -> NDArray[np.bool_]:
 
     The result is (rows, cols).
     """
-    east, north = heading_vector(heading_bins(lattice.headings))
     free = np.empty(lattice.frame.shape, dtype=np.bool_)
-    _fill_free(lattice.closed, lattice.gradient, east, north, *lattice.max_tangents, free)
+
+    def _fill(part: slice) -> None:
+        free[part] = (lattice.window(part.start, part.stop).blocked_by_heading() == Blocked.FREE).any(axis=2)
+
+    share_out(_fill, parts_of(*lattice.frame.shape))
     return free
-
-
-@njit(cache=True, nogil=True)
-def _fill_free(closed, gradient, east, north, max_grade, max_cross, free):
-    for i in range(free.shape[0]):
-        for j in range(free.shape[1]):
-            free[i, j] = False
-            if closed.codes[i, j] != 0:
-                continue
-            near = closed.room.size > 0 and (closed.near.size == 0 or closed.near[i, j])
-            to_east, to_north = gradient[i, j, 0], gradient[i, j, 1]
-            for k in range(east.size):
-                grade = abs(to_east * east[k] + to_north * north[k])
-                cross = abs(to_east * north[k] - to_north * east[k])
-                if grade > max_grade or cross > max_cross:
-                    continue
-                if not (near and meets(closed.room, closed.body, i, j, i, j, east[k], north[k], 0.0)):
-                    free[i, j] = True
-                    break
 
 
 def end_point(lattice: CostLattice, x: float, y: float, *, name: str, snap: bool = False) -> tuple[Points, str | None]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,14 @@ from joulemap.model.frames import wrap_angle
 from joulemap.model.terrain.heightmap import sample_bilinear
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import leg_prices, path_headings, path_price, world_points
-from joulemap.planner.words import duration_words, energy_words
+from joulemap.planner.pricing.polylines import subdivided
+from joulemap.planner.words import duration_words, energy_words, moved_words
 
 PROFILE_STEP_M = 1.0
+_ROUNDED = 0.99
+"""Share of a robot's turning radius that a path keeps which a file has rounded."""
+_STRAIGHT_RAD = 1e-6
+"""A corner of less is rounding: a millimetre over a kilometre."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,6 +82,8 @@ class Route:
         Coordinate reference system of the points.
     notes : list of str
         What the caller should know of the route.
+    goal_moved_m : float
+        How far its end is from the place that was asked for [m].
     spread : mapping or None
         The model's record of its errors on runs left out, from the lattice; None where it has none.
     """
@@ -89,11 +97,24 @@ class Route:
     profile: Profile
     crs: str | None = None
     notes: list[str] = field(default_factory=list)
+    goal_moved_m: float = 0.0
     spread: Mapping[str, Any] | None = None
 
+    @cached_property
+    def tightest_radius_m(self) -> float | None:
+        """The radius of the largest arc that rounds every corner within its legs [m]; None for a straight line."""
+        step = np.diff(self.points[:, :2], axis=0)
+        step = step[np.any(step != 0.0, axis=1)]
+        bend = np.abs(wrap_angle(np.diff(np.arctan2(step[:, 0], step[:, 1]))))
+        tangent = np.concatenate([[0.0], np.tan(0.5 * bend), [0.0]])  # at each end of each leg, of a radius of 1
+        needed, length = tangent[1:] + tangent[:-1], np.hypot(*step.T)
+        bent = needed > 0.5 * _STRAIGHT_RAD
+        return float((length[bent] / needed[bent]).min()) if bent.any() else None
+
     def in_words(self) -> str:
-        """Return length, energy and duration in words and units."""
-        return f"{self.length_m:.1f} m, {energy_words(self.energy_j)}, {duration_words(self.duration_s)}"
+        """Return length, energy and duration in words and units, and how far the goal was moved."""
+        words = f"{self.length_m:.1f} m, {energy_words(self.energy_j)}, {duration_words(self.duration_s)}"
+        return words + moved_words(self.goal_moved_m)
 
     def __repr__(self) -> str:
         return f"Route({self.in_words()}, {self.climb_m:.1f} m up, {self.descent_m:.1f} m down)"
@@ -156,7 +177,7 @@ def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None 
     length = float(profile.distance_m[-1]) if profile.distance_m.size else 0.0
     heights = np.append(z[0], profile.z)
     rise = np.diff(heights[np.isfinite(heights)])
-    return Route(
+    route = Route(
         points=np.column_stack([x, y, z]),
         energy_j=float(energy),
         length_m=length,
@@ -168,6 +189,13 @@ def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None 
         notes=list(notes or []),
         spread=lattice.provenance.get("model", {}).get("spread"),
     )
+    least, tightest = lattice.robot.min_turning_radius_m, route.tightest_radius_m
+    if tightest is not None and tightest < _ROUNDED * least:
+        route.notes.append(
+            f"the path has a curve of {tightest:.2g} m radius, which {lattice.robot.name} cannot drive: its turning "
+            f"radius is {least:g} m"
+        )
+    return route
 
 
 def elevation_at(lattice: CostLattice, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -196,20 +224,27 @@ def elevation_at(lattice: CostLattice, points: NDArray[np.float64]) -> NDArray[n
 
 def _known_elevation(elevation_m: NDArray[np.float32], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n,) mean [m] of the known centres around (n, 2) points, weighted as in bilinear interpolation."""
-    last = np.array(elevation_m.shape) - 1
-    place = np.clip(points, 0.0, last)
-    corner = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))
-    share = place - corner
     total, weights = np.zeros(len(points)), np.zeros(len(points))
-    for row, col in np.ndindex(2, 2):
-        cell = np.minimum(corner + np.array([row, col]), last)
-        height = elevation_m[cell[:, 0], cell[:, 1]]
-        # a centre that is known counts a little even where its weight is 0: it is the nearest height there is
-        weight = np.abs(1.0 - row - share[:, 0]) * np.abs(1.0 - col - share[:, 1]) + 1e-9
+    for cell, share in _centres_around(points, elevation_m.shape):
+        height = elevation_m[cell]
+        weight = share + 1e-9  # a centre that is known counts where its weight is 0: it is the nearest height there is
         known = np.isfinite(height)
         total += np.where(known, weight * height, 0.0)
         weights += np.where(known, weight, 0.0)
     return np.where(weights > 0.0, total / np.where(weights > 0.0, weights, 1.0), np.nan)
+
+
+def _centres_around(
+    points: NDArray[np.float64], shape: tuple[int, ...]
+) -> Iterator[tuple[tuple[NDArray[np.int64], NDArray[np.int64]], NDArray[np.float64]]]:
+    """The (rows, cols) of the four centres around (n, 2) points, one after the other, and their bilinear weights."""
+    last = np.array(shape[:2]) - 1
+    place = np.clip(points, 0.0, last)
+    corner = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))
+    share = place - corner
+    for row, col in np.ndindex(2, 2):
+        cell = np.minimum(corner + np.array([row, col]), last)
+        yield (cell[:, 0], cell[:, 1]), np.abs(1.0 - row - share[:, 0]) * np.abs(1.0 - col - share[:, 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,11 +285,7 @@ def pieces_of(lattice: CostLattice, points: NDArray[np.float64]) -> Pieces:
         Priced.
     """
     spacing = lattice.frame.resolution_m
-    length = np.hypot(*np.diff(points, axis=0).T) * spacing
-    pieces = np.maximum(1, np.ceil(length / PROFILE_STEP_M - 1e-9)).astype(int)
-    leg = np.repeat(np.arange(pieces.size), pieces)
-    share = (np.arange(leg.size) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 1.0) / pieces[leg]
-    fine = np.vstack([points[:1], points[leg] + share[:, None] * (points[leg + 1] - points[leg])])
+    fine = subdivided(points, PROFILE_STEP_M / spacing)
     energy = leg_prices(lattice, fine)
     heading = path_headings(fine)
     driven = np.hypot(*np.diff(fine, axis=0).T) * spacing
@@ -278,17 +309,11 @@ def _std_at(
     """(n,) standard deviation [J] of 1 m segments at (n, 2) (row, col): bilinear between cells, linear between headings
     (a wave through the bins could become negative).
     """
-    last = np.array(std_j.shape[:2]) - 1
-    place = np.clip(points, 0.0, last)
-    corner = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))
-    share = place - corner
     turn = heading_rad / (2.0 * np.pi) * std_j.shape[2]
     earlier = np.floor(turn).astype(np.int64)
     ahead = turn - earlier
     found = np.zeros(len(points))
-    for row, col, bin_ in np.ndindex(2, 2, 2):
-        weight = np.abs(1.0 - row - share[:, 0]) * np.abs(1.0 - col - share[:, 1]) * np.abs(1.0 - bin_ - ahead)
-        cell = np.minimum(corner + np.array([row, col]), last)
-        values = std_j[cell[:, 0], cell[:, 1], (earlier + bin_) % std_j.shape[2]]
-        found += np.where(weight > 0.0, weight * values, 0.0)
+    for cell, share in _centres_around(points, std_j.shape):
+        for bin_, weight in ((earlier, share * (1.0 - ahead)), (earlier + 1, share * ahead)):
+            found += np.where(weight > 0.0, weight * std_j[(*cell, bin_ % std_j.shape[2])], 0.0)
     return found

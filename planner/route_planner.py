@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from joulemap.model.errors import BlockedError, NoRouteError
+from joulemap.model.errors import BlockedError, InputError, NoRouteError
 from joulemap.model.threads import both
 from joulemap.planner.answers import Plan, RoundTrip
 from joulemap.planner.any_angle.best import (
@@ -25,50 +23,81 @@ from joulemap.planner.any_angle.best import (
     shorter_of,
     tightened,
 )
-from joulemap.planner.areas.energy_map import EnergyMap, energy_map
-from joulemap.planner.areas.reach import ReachField, reach_field
-from joulemap.planner.grid.fields import field_from, field_towards
-from joulemap.planner.grid.search import grid_search, joining_legs
+from joulemap.planner.field_planner import FieldPlanner
+from joulemap.planner.grid.curved_search import curved_path
+from joulemap.planner.grid.fields import field_from
+from joulemap.planner.grid.search import grid_search
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.avoid import Polygon, checked_polygons, window_of, without
-from joulemap.planner.places import end_point, free_places
-from joulemap.planner.planners import PLANNERS, Options, planner_named
-from joulemap.planner.pricing.integrator import Points, margin_cells, metres_within_margin, path_price
+from joulemap.planner.places import free_places
+from joulemap.planner.planners import PLANNERS, Options, Planner, planner_named
+from joulemap.planner.pricing.integrator import Points, metres_within_margin, path_headings, path_price
 from joulemap.planner.pricing.move_prices import check_neighbours
-from joulemap.planner.pricing.moves import MoveTable, distance_table, move_table, repriced, with_margin
+from joulemap.planner.pricing.moves import MoveTable, repriced
 from joulemap.planner.questions.alternatives import alternative_paths, improved_ways
-from joulemap.planner.questions.bound import BoundTable, bound_table, energy_bound, quick_bound
-from joulemap.planner.questions.matrix import Matrix, Place, energy_matrix
+from joulemap.planner.questions.bound import bound_table, energy_bound, quick_bound
 from joulemap.planner.questions.tours import cheapest_tour
 from joulemap.planner.route import Route, price_route
 
 SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_time_limit)
 
-_KEPT_REACHES = 2
-_KEPT_TOWARDS = 20  # of 4 bytes a cell
+
+_STOP_HEADINGS_DEG = 45.0
+"""Setting: between the headings that are tried at a stop of a tour, where the cheapest arrival leads nowhere."""
 
 
-def distance_lattice(lattice: CostLattice) -> CostLattice:
-    """Return the same ground and limits at a price of 1 J/m in every direction: its cheapest path is the shortest.
+@dataclass(frozen=True, eq=False, repr=False)
+class RouteOptions(Options):
+    """How a route is looked for; what the planner's search uses comes from `Options`.
 
-    Parameters
+    Attributes
     ----------
-    lattice : CostLattice
-        Prices and limits.
-
-    Returns
-    -------
-    CostLattice
-        The lattice of distances.
+    planner : str, default "astar"
+        One of `PLANNERS`, or the name of a planner that was registered.
+    neighbours : {16, 8, 32}
+        Moves per cell of the grid planners without `refine`; with it they are 32.
+    refine : bool, default True
+        Whether to improve the path at any angle, which never makes it dearer.
+    alternatives : int, default 0
+        Most other routes to look for, see `alternative_paths`.
+    snap : bool, default False
+        Whether a start or goal on blocked ground is moved to the nearest free place, and a goal that cannot be reached
+        to the nearest one that can; the route's notes say where.
+    furthest_m : float, default inf
+        Furthest that `snap` may move a start or a goal [m].
+    start_heading_deg, goal_heading_deg : float, optional
+        Headings at the start and at the goal [deg, clockwise from north] of a robot with a turning radius; any without
+        them. A robot that turns on the spot may have any heading.
+    bound : bool, default False
+        Whether to search for a lower bound of every route's energy, which prices the whole map once. Without it the
+        bound is that of the idle power over the straight distance.
     """
-    robot = replace(lattice.robot, idle_power_w=1.0, speed_mps=1.0, regeneration=0.0, turn_j_per_rad=0.0)
-    known = np.einsum("ijk->ij", lattice.traction_per_m)  # NaN where one heading is
-    flat = np.empty((*lattice.frame.shape, 4), np.float32)
-    flat[...] = np.where(np.isnan(known), np.nan, 0.0)[:, :, None]
-    return replace(lattice, robot=robot, traction_per_m=flat, std_j=None)
+
+    planner: str = "astar"
+    neighbours: int = 16
+    refine: bool = True
+    alternatives: int = 0
+    snap: bool = False
+    furthest_m: float = math.inf
+    start_heading_deg: float | None = None
+    goal_heading_deg: float | None = None
+    bound: bool = False
+
+    def __post_init__(self) -> None:
+        planner_named(self.planner)
+        check_neighbours(self.neighbours)
+
+    @property
+    def asked(self) -> Planner:
+        """The planner of that name."""
+        return planner_named(self.planner)
 
 
-class RoutePlanner:
+USUAL = RouteOptions()
+"""How a route is looked for where nothing is said."""
+
+
+class RoutePlanner(FieldPlanner):
     """Plans on one lattice; keeps what repeated questions share (the priced moves).
 
     Parameters
@@ -78,19 +107,17 @@ class RoutePlanner:
     """
 
     def __init__(self, lattice: CostLattice) -> None:
-        self.lattice = lattice
-        self._distances = distance_lattice(lattice)
-        self._tables: dict[tuple[bool, int], MoveTable] = {}
-        self._margins: dict[int, MoveTable] = {}
-        self._bounds: tuple[BoundTable | None] | None = None
-        self._reaching = threading.Lock()
-        self._making = threading.RLock()  # what is kept is made once; questions then share it without a lock
+        super().__init__(lattice)
         self._avoiding: tuple[tuple[Polygon, ...], RoutePlanner] | None = None
-        self._towards: OrderedDict[tuple[float, float], NDArray[np.float32]] = OrderedDict()
-        self._reaches: OrderedDict[tuple[tuple[float, ...], bool], ReachField] = OrderedDict()
 
-    def prepare(self) -> None:
-        """Price the moves of refined routes now, so that the first question does not wait for it."""
+    def prepare(self, *, progress: Callable[[float], None] | None = None) -> None:
+        """Price the moves of refined routes now, so that the first question does not wait for it.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            For planners that tell it.
+        """
         self._with_margin(ANY_ANGLE_NEIGHBOURS, distance=False)
 
     def avoiding(self, polygons: Sequence[Sequence[Sequence[float]]]) -> RoutePlanner:
@@ -124,209 +151,15 @@ class RoutePlanner:
                 self._avoiding = areas, _Avoiding(self, areas)
             return self._avoiding[1]
 
-    def reach(
-        self, start_xy: tuple[float, float], *, round_trip: bool = False, snap: bool = False
-    ) -> tuple[ReachField, list[str]]:
-        """Return what it takes to drive from one place to every cell, or there and back.
-
-        Those that were asked for last are kept.
-
-        Parameters
-        ----------
-        start_xy : tuple of float
-            World x, y [m].
-        round_trip : bool, default False
-            Whether it must come back to the start, by the best way back.
-        snap : bool, default False
-            Whether a start on blocked ground is moved to the nearest free place.
-
-        Returns
-        -------
-        field : ReachField
-            For any battery.
-        notes : list of str
-            Where the start was moved to, if it was.
-
-        Raises
-        ------
-        PointError
-            If the start is not finite or lies outside the map.
-        BlockedError
-            If the start is on blocked ground.
-        """
-        notes: list[str] = []
-        start = self._end("start", start_xy, notes, snap)
-        table = self._table(ANY_ANGLE_NEIGHBOURS, distance=False)
-        key = tuple(start.tolist()), round_trip
-        with self._reaching:
-            if key not in self._reaches:
-                while len(self._reaches) >= _KEPT_REACHES:
-                    self._reaches.popitem(last=False)
-                self._reaches[key] = reach_field(self.lattice, table, start, round_trip=round_trip)
-            self._reaches.move_to_end(key)
-            return self._reaches[key], notes
-
-    def field(
-        self,
-        *,
-        start: tuple[float, float] | None = None,
-        goal: tuple[float, float] | None = None,
-        neighbours: int = 16,
-        snap: bool = False,
-    ) -> tuple[EnergyMap, list[str]]:
-        """Return the least energy from a start to every cell, from every cell to a goal, or over every cell.
-
-        Parameters
-        ----------
-        start, goal : tuple of float, optional
-            World x, y [m]; at least one of them.
-        neighbours : {16, 8, 32}
-            Moves per cell.
-        snap : bool, default False
-            Whether a place on blocked ground is moved to the nearest free one.
-
-        Returns
-        -------
-        energies : EnergyMap
-            Energies [J].
-        notes : list of str
-            Where places were moved to.
-        """
-        notes: list[str] = []
-        here, there = (
-            None if xy is None else self._end(name, xy, notes, snap) for name, xy in (("start", start), ("goal", goal))
-        )
-        table = self._table(neighbours, distance=False)
-        out = None if here is None else field_from(self.lattice, table, here)
-        back = None if there is None else field_towards(self.lattice, table, there[None])
-        return energy_map(out, back), notes
-
-    def matrix(
-        self,
-        starts_xy: Sequence[tuple[float, float]],
-        goals_xy: Sequence[tuple[float, float]],
-        *,
-        neighbours: int = ANY_ANGLE_NEIGHBOURS,
-        snap: bool = False,
-        only_cheapest: bool = False,
-        progress: Callable[[float], None] | None = None,
-    ) -> tuple[Matrix, list[str]]:
-        """Return the least energies between starts and goals.
-
-        A place on blocked ground is no error: its ways have that reason.
-
-        Parameters
-        ----------
-        starts_xy, goals_xy : sequence of tuple of float
-            World x, y [m].
-        neighbours : {32, 8, 16}
-            Moves per cell.
-        snap : bool, default False
-            Whether places on blocked ground are moved to the nearest free ones.
-        only_cheapest : bool, default False
-            Whether only the goal of least energy is found for each start.
-        progress : callable, optional
-            Called with the share that is done, 0..1.
-
-        Returns
-        -------
-        matrix : Matrix
-            Energies [J], lengths [m] and reasons.
-        notes : list of str
-            Where places were moved to.
-
-        Raises
-        ------
-        PointError
-            If a place is not finite or lies outside the map.
-        """
-        notes: list[str] = []
-
-        def _places(name: str, places_xy: Sequence[tuple[float, float]], *, outward: bool) -> list[Place]:
-            found: list[Place] = []
-            for k, xy in enumerate(places_xy):
-                try:
-                    point = self._end(f"{name} {k}", xy, notes, snap)
-                    joined = np.isfinite(joining_legs(self.lattice, point, outward=outward)[1]).any()
-                    found.append(point if joined else f"{name} {k} is next to blocked ground: no leg joins it")
-                except BlockedError as error:
-                    found.append(error.message)
-            return found
-
-        ends = _places("start", starts_xy, outward=True), _places("goal", goals_xy, outward=False)
-        table = self._table(neighbours, distance=False)
-        return energy_matrix(self.lattice, table, *ends, only_cheapest=only_cheapest, progress=progress), notes
-
-    def _priced(self, neighbours: int) -> MoveTable:
-        return move_table(self.lattice, neighbours=neighbours)
-
-    def _table(self, neighbours: int, *, distance: bool) -> MoveTable:
-        key = (distance, neighbours)
-        if key not in self._tables:
-            with self._making:
-                if key not in self._tables:
-                    self._tables[key] = (
-                        distance_table(self._table(neighbours, distance=False))
-                        if distance
-                        else self._priced(neighbours)
-                    )
-        return self._tables[key]
-
-    def _with_margin(self, neighbours: int, *, distance: bool) -> MoveTable:
-        """The moves of refined routes, which keep the robot's margin to closed ground where another way exists."""
-        if neighbours not in self._margins:
-            with self._making:
-                if neighbours not in self._margins:
-                    table = self._table(neighbours, distance=False)
-                    self._margins[neighbours] = with_margin(table, margin_cells(self.lattice))
-        table = self._margins[neighbours]
-        return distance_table(table) if distance else table
-
-    def plan(
-        self,
-        start_xy: tuple[float, float],
-        goal_xy: tuple[float, float],
-        *,
-        planner: str = "astar",
-        neighbours: int = 16,
-        refine: bool = True,
-        time_limit_s: float = 5.0,
-        seed: int = 0,
-        from_grid: bool = False,
-        alternatives: int = 0,
-        snap: bool = False,
-        bound: bool = False,
-        progress: Callable[[float], None] | None = None,
-    ) -> Plan:
+    def plan(self, start_xy: tuple[float, float], goal_xy: tuple[float, float], how: RouteOptions = USUAL) -> Plan:
         """Return the energy-optimal and the shortest route from start to goal.
 
         Parameters
         ----------
         start_xy, goal_xy : tuple of float
             World x, y [m].
-        planner : str, default "astar"
-            One of `PLANNERS`, or the name of a planner that was registered.
-        neighbours : {16, 8, 32}
-            Moves per cell of the grid planners without `refine`; with it they are 32.
-        refine : bool, default True
-            Whether to improve the path at any angle, which never makes it dearer.
-        time_limit_s : float, default 5.0
-            How long the sampling planners search [s].
-        seed : int, default 0
-            Seed of the sampling planners.
-        from_grid : bool, default False
-            Whether the sampling planners sample only near the grid's path, or where a path could be cheaper than it,
-            and return the grid's path if they find no better one.
-        alternatives : int, default 0
-            Most other routes to look for, see `alternative_paths`.
-        snap : bool, default False
-            Whether a start or goal on blocked ground is moved to the nearest free place, and a goal that cannot be
-            reached to the nearest one that can; the route's notes say where.
-        bound : bool, default False
-            Whether to search for a lower bound of every route's energy, which prices the whole map once. Without it the
-            bound is that of the idle power over the straight distance.
-        progress : callable, optional
-            Called with the share of the sampling planners' time that is over, 0..1.
+        how : RouteOptions, optional
+            How the route is looked for.
 
         Returns
         -------
@@ -337,7 +170,7 @@ class RoutePlanner:
         Raises
         ------
         InputError
-            If the planner or a setting is unknown.
+            If a setting of the planner is out of bounds.
         PointError
             If start or goal is not finite or lies outside the map.
         BlockedError
@@ -347,67 +180,126 @@ class RoutePlanner:
         NegativeCycleError
             If driving in a circle would fill the battery.
         """
-        asked = planner_named(planner)
-        check_neighbours(neighbours)
         lattice = self.lattice
+        curved = lattice.robot.min_turning_radius_m > 0.0
+        if curved and (how.planner != "astar" or not how.refine or how.alternatives):
+            raise InputError(
+                f"the turning radius of {lattice.robot.name} is only kept by the planner astar, with `refine` and "
+                "without `alternatives`"
+            )
+        if not curved and (how.start_heading_deg, how.goal_heading_deg) != (None, None):
+            raise InputError("headings are given for a robot with `min_turning_radius_m`; this one turns on the spot")
         notes: list[str] = []
-        start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
-        began = time.perf_counter()
-        if refine:
-            neighbours = max(neighbours, ANY_ANGLE_NEIGHBOURS)
-
-        def _found(goal: Points) -> tuple[Points, Points, dict[str, Any]]:
-            """The shortest way, the best one, and details."""
-            if refine and not asked.uses_time_limit:
-                way, (best, details) = both(
-                    lambda: self._shortest(start, goal, neighbours, refine), lambda: self._best(start, goal)
+        start, goal = (self._end(name, xy, notes, how.snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
+        for name, xy, place in (("start", start_xy, start), ("goal", goal_xy, goal)):
+            free_x, free_y = (float(v) for v in lattice.frame.xy(*place))
+            if (away_m := math.dist((free_x, free_y), xy)) > how.furthest_m:
+                raise BlockedError(
+                    f"{name} ({xy[0]:.2f}, {xy[1]:.2f}) is on blocked ground, and the nearest free place is "
+                    f"({free_x:.2f}, {free_y:.2f}), {away_m:.2f} m away: `snap` may move it by "
+                    f"{how.furthest_m:.2f} m at most",
+                    which=name,
+                    nearest=[free_x, free_y],
+                    nearest_m=away_m,
+                    furthest_m=how.furthest_m,
                 )
-                return way, best, details
-            way = self._shortest(start, goal, neighbours, refine)
-            table = self._table(neighbours, distance=False)
-            options = Options(time_limit_s, seed, from_grid, progress)
-            best, details = asked.search(lattice, table, start, goal, options)
-            return way, improved(lattice, best) if refine else best, details
-
+        began = time.perf_counter()
         try:
-            shortest, points, found = _found(goal)
-        except NoRouteError:
-            if not snap or (near := self._reachable_near(start, goal)) is None:
-                raise
-            x, y = lattice.frame.xy(*near)
+            shortest, best, found = self._ways(start, goal, how)
+        except NoRouteError as error:
+            near = self._reachable_near(start, goal) if how.snap else None
+            x, y = (math.nan, math.nan) if near is None else lattice.frame.xy(*near)
+            if near is None or math.dist((x, y), goal_xy) > how.furthest_m:
+                raise self._closing(start, goal) or error from error
             notes.append(
                 f"the goal cannot be reached and was moved to the nearest place that can, ({x:.2f}, {y:.2f}), "
                 f"{math.dist((x, y), goal_xy):.2f} m away"
             )
             goal = near
-            shortest, points, found = _found(goal)
-        if lattice.robot.turn_j_per_rad > 0.0 and not asked.weighs_turning:
-            notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
-        details: dict[str, Any] = {"planner": planner, "neighbours": neighbours, "refined": refine, **found}
-        shortest = shorter_of(lattice, self._distances, shortest, points)
-        best = points
+            shortest, best, found = self._ways(start, goal, how)
+        if lattice.robot.turn_j_per_rad > 0.0 and not how.asked.weighs_turning:
+            notes.append(f"{how.planner} does not weigh turning while it searches; the energy given includes it")
+        if not curved:
+            shortest = shorter_of(lattice, self._distances, shortest, best)
 
         def _energy_j(way: Points) -> float:
-            return driven_energy_j(lattice, way, like=best) if refine else path_price(lattice, way)
+            return driven_energy_j(lattice, way, like=best) if how.refine else path_price(lattice, way)
 
-        details["from_shortest"] = _energy_j(shortest) < _energy_j(points)
-        if details["from_shortest"]:
-            points = improved(lattice, shortest) if refine else shortest
+        from_shortest = _energy_j(shortest) < _energy_j(best)
+        points = best
+        if from_shortest:
+            points = improved(lattice, shortest) if how.refine and not curved else shortest
         ways = [points]
-        if alternatives > 0:
-            table = self._table(neighbours, distance=False)
-            others = [w.points for w in alternative_paths(lattice, table, start, goal, count=alternatives + 1)[1:]]
-            ways += improved_ways(lattice, points, others) if refine else others
+        if how.alternatives > 0:
+            ways += self._others(start, goal, points, how)
             ways.sort(key=_energy_j)  # once improved, another one may be the cheapest
-        details["seconds"] = time.perf_counter() - began
-        least = quick_bound(lattice, start, goal)
-        if bound and (prices := self._bound_prices()) is not None:
-            least = max(least, energy_bound(lattice, prices, start, goal))
-        bound_j = least if math.isfinite(least) else None
-        if refine:
+        details = {
+            "planner": how.planner,
+            "neighbours": self._neighbours(how),
+            "refined": how.refine,
+            **found,
+            "from_shortest": from_shortest,
+            "seconds": time.perf_counter() - began,
+        }
+        bound_j = self._bound_j(start, goal, how)
+        if how.refine:
             notes += margin_notes(lattice, ways[0])
+        saved = path_price(lattice, ways[0]) - path_price(lattice, shortest)
+        if how.refine and saved > 0.001 * abs(path_price(lattice, shortest)):
+            notes.append(
+                f"the shortest path takes {saved:.3g} J less if it is driven exactly: with the robot's error to the "
+                "sides and its margin to closed ground it is the dearer one"
+            )
         route, *rest = (self._route(way, notes) for way in ways)
-        return Plan(route, self._route(shortest, notes), planner, details, tuple(rest), bound_j)
+        route = replace(route, goal_moved_m=math.dist(route.points[-1, :2], goal_xy))
+        return Plan(route, self._route(shortest, notes), how.planner, details, tuple(rest), bound_j)
+
+    @staticmethod
+    def _neighbours(how: RouteOptions) -> int:
+        return max(how.neighbours, ANY_ANGLE_NEIGHBOURS) if how.refine else how.neighbours
+
+    def _ways(self, start: Points, goal: Points, how: RouteOptions) -> tuple[Points, Points, dict[str, Any]]:
+        """The shortest way, the best one, and details."""
+        neighbours = self._neighbours(how)
+        if self.lattice.robot.min_turning_radius_m > 0.0:
+            return self._curved(start, goal, how)
+        if how.refine and not how.asked.uses_time_limit:
+            way, (best, details) = self._both(start, goal, neighbours)
+            return way, best, details
+        way = self._shortest(start, goal, neighbours, how.refine)
+        table = self._table(neighbours, distance=False)
+        best, details = how.asked.search(self.lattice, table, start, goal, how)
+        return way, improved(self.lattice, best) if how.refine else best, details
+
+    def _curved(self, start: Points, goal: Points, how: RouteOptions) -> tuple[Points, Points, dict[str, Any]]:
+        """As `_ways`, with no curve that is tighter than the turning radius."""
+        self.needs_memory("a route for a robot with a turning radius")
+        ends = {
+            name: None if heading is None else math.radians(heading)
+            for name, heading in (("start_rad", how.start_heading_deg), ("goal_rad", how.goal_heading_deg))
+        }
+        distances, energies = (self._with_margin(ANY_ANGLE_NEIGHBOURS, distance=short) for short in (True, False))
+        near, free = self._shortest(start, goal, ANY_ANGLE_NEIGHBOURS, True), self._best(start, goal)[0]
+        (shortest, _), (best, expanded) = both(
+            lambda: curved_path(self._distances, distances, start, goal, near, **ends),
+            lambda: curved_path(self.lattice, energies, start, goal, free, **ends),
+        )
+        return shortest, best, {"expanded": expanded}
+
+    def _others(self, start: Points, goal: Points, points: Points, how: RouteOptions) -> list[Points]:
+        """Other good ways than one."""
+        neighbours = self._neighbours(how)
+        table = self._with_margin(neighbours, distance=False) if how.refine else self._table(neighbours, distance=False)
+        found = alternative_paths(self.lattice, table, start, goal, count=how.alternatives + 1)
+        others = [way.points for way in found[1:]]
+        return improved_ways(self.lattice, points, others) if how.refine else others
+
+    def _bound_j(self, start: Points, goal: Points, how: RouteOptions) -> float | None:
+        """A proven lower bound of the energy [J]; None where nothing is known."""
+        least = quick_bound(self.lattice, start, goal)
+        if how.bound and (prices := self._once("bound", lambda: bound_table(self.lattice))) is not None:
+            least = max(least, energy_bound(self.lattice, prices, start, goal))
+        return least if math.isfinite(least) else None
 
     def _reachable_near(self, start: Points, goal: Points) -> Points | None:
         """The cell centre nearest to a goal that the start leads to; both are fractional (row, col), (2,)."""
@@ -415,56 +307,6 @@ class RoutePlanner:
         there = np.isfinite(field_from(lattice, self._table(ANY_ANGLE_NEIGHBOURS, distance=False), start).energy_j)
         cells = np.argwhere(there & free_places(lattice)).astype(np.float64)
         return cells[np.argmin(np.hypot(*(cells - goal).T))] if len(cells) else None
-
-    def keeps_energies_towards(self, goal_xy: tuple[float, float]) -> bool:
-        """Return whether `energies_towards` answers without a search.
-
-        Parameters
-        ----------
-        goal_xy : tuple of float
-            World x, y [m].
-
-        Returns
-        -------
-        bool
-            Whether the energies are kept.
-        """
-        return (float(goal_xy[0]), float(goal_xy[1])) in self._towards
-
-    def energies_towards(self, goal_xy: tuple[float, float], *, name: str = "goal") -> NDArray[np.float32]:
-        """Return the least energy from every cell to one place, over grid moves.
-
-        Those that were asked for last are kept, so that a robot on its way may ask every second.
-
-        Parameters
-        ----------
-        goal_xy : tuple of float
-            World x, y [m].
-        name : str, default "goal"
-            What messages call it.
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols)
-            Energy [J]; infinite where there is no way.
-
-        Raises
-        ------
-        PointError
-            If the place is not finite or lies outside the map.
-        BlockedError
-            If it is on blocked ground.
-        """
-        key = (float(goal_xy[0]), float(goal_xy[1]))
-        with self._reaching:
-            if key not in self._towards:
-                goal = self._end(name, key, [], False)
-                found = field_towards(self.lattice, self._table(ANY_ANGLE_NEIGHBOURS, distance=False), goal[None])
-                while len(self._towards) >= _KEPT_TOWARDS:
-                    self._towards.popitem(last=False)
-                self._towards[key] = found.energy_j.astype(np.float32)
-            self._towards.move_to_end(key)
-            return self._towards[key]
 
     def tour(
         self,
@@ -511,27 +353,66 @@ class RoutePlanner:
         BusyError
             If the time limit leaves no tour.
         """
+        self.needs_memory(f"a tour of {len(stops_xy)} stops")
         notes: list[str] = []
         stops = np.array([self._end(f"stop {k}", xy, notes, snap) for k, xy in enumerate(stops_xy)])
         table = self._table(neighbours, distance=False)
         found = cheapest_tour(self.lattice, table, stops, time_limit_s=time_limit_s, progress=progress)
-        ways = (self._best(leg.points[0], leg.points[-1])[0] if refine else leg.points for leg in found.paths)
+        ways = self._legs([leg.points for leg in found.paths], refine)
         order = tuple(int(stop) for stop in found.order)
         legs = tuple(self._route(way, []) for way in ways)
         return RoundTrip(legs, order, found.energy_j, found.bound_j, tuple(notes))
 
-    def _end(self, name: str, xy: tuple[float, float], notes: list[str], snap: bool) -> Points:
-        """Where a route begins or ends for a world point; a note where that is another place."""
-        point, note = end_point(self.lattice, float(xy[0]), float(xy[1]), name=name, snap=snap)
-        if note is not None:
-            notes.append(note)
-        return point
+    def _legs(self, paths: list[Points], refine: bool) -> list[Points]:
+        """The legs of a tour, improved; where curves are limited each begins with the heading in which it arrived."""
+        if self.lattice.robot.min_turning_radius_m == 0.0:
+            return [self._best(path[0], path[-1])[0] if refine else path for path in paths]
+        ways, arrived = list[Points](), None
+        for k, path in enumerate(paths):
+            try:
+                ways.append(self._curved(path[0], path[-1], RouteOptions(start_heading_deg=arrived))[1])
+            except NoRouteError:  # as the leg before arrived it leads nowhere
+                if not ways:
+                    raise
+                begun = None if k < 2 else math.degrees(path_headings(ways[-2])[-1])
+                ways[-1:] = self._through(paths[k - 1], path, begun)
+            arrived = math.degrees(path_headings(ways[-1])[-1])
+        return ways
 
-    def _bound_prices(self) -> BoundTable | None:
-        with self._making:
-            if self._bounds is None:
-                self._bounds = (bound_table(self.lattice),)
-        return self._bounds[0]
+    def _through(self, before: Points, after: Points, begun_deg: float | None) -> list[Points]:
+        """Two legs by the heading at the stop between them at which they take least. Raises NoRouteError if none is."""
+        found = list[tuple[float, list[Points]]]()
+        for at_stop in np.arange(0.0, 360.0, _STOP_HEADINGS_DEG).tolist():
+            arriving = RouteOptions(start_heading_deg=begun_deg, goal_heading_deg=at_stop)
+            hows = arriving, RouteOptions(start_heading_deg=at_stop)
+            with suppress(NoRouteError):
+                legs = [self._curved(leg[0], leg[-1], how)[1] for leg, how in zip((before, after), hows, strict=True)]
+                found.append((sum(path_price(self.lattice, leg) for leg in legs), legs))
+        if not found:
+            x, y = (float(value) for value in self.lattice.frame.xy(*after[0]))
+            raise NoRouteError(
+                f"no tour leads through the stop ({x:.2f}, {y:.2f}): there is no heading at which one leg can arrive "
+                f"and the next one leave, with curves of at least {self.lattice.robot.min_turning_radius_m:g} m radius"
+            )
+        return min(found, key=lambda one: one[0])[1]
+
+    def on_from(self, route: Route) -> RouteOptions:
+        """Return options of a route that goes on from another, in its last heading where curves are limited.
+
+        Parameters
+        ----------
+        route : Route
+            What is driven before.
+
+        Returns
+        -------
+        RouteOptions
+            All else as usual.
+        """
+        if self.lattice.robot.min_turning_radius_m == 0.0 or len(route.points) < 2:
+            return RouteOptions()
+        dx, dy = np.diff(route.points[-2:, :2], axis=0)[0]
+        return RouteOptions(start_heading_deg=math.degrees(math.atan2(dx, dy)) % 360.0)
 
     def _best(self, start: Points, goal: Points) -> tuple[Points, dict[str, Any]]:
         """The best path of any angles that we find, for every kind of question."""
@@ -541,6 +422,10 @@ class RoutePlanner:
             "grid_energy_j": best.grid_energy_j,
         }
 
+    def _both(self, start: Points, goal: Points, neighbours: int) -> tuple[Points, tuple[Points, dict[str, Any]]]:
+        """The shortest path, and the best one."""
+        return both(lambda: self._shortest(start, goal, neighbours, True), lambda: self._best(start, goal))
+
     def _shortest(self, start: Points, goal: Points, neighbours: int, refine: bool) -> Points:
         """The shortest path within the limits and the margin: the straight line where it is free."""
         straight = np.vstack([start, goal])
@@ -548,8 +433,12 @@ class RoutePlanner:
         if free and metres_within_margin(self._distances, straight) == 0.0:
             return straight
         table = self._with_margin(neighbours, distance=True) if refine else self._table(neighbours, distance=True)
-        points = grid_search(self._distances, table, start, goal).points
+        points = self._grid(table, self._distances, start, goal)
         return tightened(self._distances, points) if refine else points
+
+    def _grid(self, table: MoveTable, lattice: CostLattice, start: Points, goal: Points) -> Points:
+        """The best path over grid moves."""
+        return grid_search(lattice, table, start, goal).points
 
     def _route(self, points: Points, notes: list[str]) -> Route:
         x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])

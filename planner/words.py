@@ -24,6 +24,11 @@ def duration_words(seconds: float) -> str:
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
 
 
+def moved_words(metres: float) -> str:
+    """Return how far a goal was moved, to be written after a route or a verdict; empty where it is less than 1 cm."""
+    return f"; the goal was moved by {metres:.2f} m" if metres >= 0.01 else ""
+
+
 def probability_words(probability: float) -> str:
     """Return a probability as far as it is worth saying: nobody knows the tails.
 

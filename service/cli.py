@@ -4,31 +4,25 @@ from __future__ import annotations
 
 import gc
 import os
-from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
 
 from joulemap.service.commands import (
+    area_questions,
     calibration,
     data_directory,
-    distillation,
     doctor,
     exports,
-    fields,
     following,
     heightmaps,
-    homeward,
     keys,
     logs,
     maps,
-    matrix,
     models,
-    reach,
+    route_questions,
     services,
     simulation,
-    speeds,
-    tours,
 )
 from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.asked import Commands, listed
@@ -65,7 +59,7 @@ app = typer.Typer(
         "On your own map: `joulemap costmap dem.tif --robot robot.toml --out dem.zarr`, then "
         "`joulemap path dem.zarr --start X,Y --goal X,Y`. "
         "Exit codes: 0 answered, 2 wrong usage, 3 unusable input, 4 no answer (blocked, no route), 5 not there, "
-        "6 conflict, 7 too large, 8 busy, 9 no key, 10 not allowed, 11 too many at once, 12 no room, "
+        "6 conflict, 7 too large, 8 busy, 9 no key, 10 not allowed, 11 too many at once, 12 no room, 13 damaged, "
         "130 stopped by Ctrl-C, 1 anything else."
     ),
 )
@@ -73,6 +67,8 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import version  # loads slowly
+
         typer.echo(f"joulemap {version('joulemap')}")
         raise typer.Exit
 
@@ -99,11 +95,12 @@ for _panel, _commands in (
             maps.path,
             maps.feasibility,
             following.follow,
-            tours.tour,
-            matrix.matrix,
-            fields.field,
-            reach.reach,
-            speeds.speeds,
+            route_questions.tour,
+            route_questions.matrix,
+            route_questions.charging,
+            area_questions.field,
+            area_questions.reach,
+            route_questions.speeds,
             exports.export,
         ),
     ),
@@ -116,7 +113,7 @@ for _panel, _commands in (
             heightmaps.heightmap,
             models.train,
             models.evaluate,
-            distillation.distill,
+            models.distill,
             calibration.calibrate,
             calibration.suggest_drive,
         ),
@@ -124,7 +121,7 @@ for _panel, _commands in (
 ):
     for _command in _commands:
         app.command(cls=Command, rich_help_panel=_panel)(listed(_command))
-app.command("return", cls=Command, rich_help_panel="Plan")(listed(homeward.point_of_no_return))
+app.command("return", cls=Command, rich_help_panel="Plan")(listed(area_questions.point_of_no_return))
 app.command("import", cls=Command, rich_help_panel="Learn")(listed(logs.import_logs))
 app.add_typer(keys.keys, rich_help_panel="Serve")
 

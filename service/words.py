@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.runs.words import number_words
-from joulemap.planner.words import duration_words, energy_words
+from joulemap.planner.words import duration_words, energy_words, moved_words
 
 if TYPE_CHECKING:
     from joulemap.planner.verdict.budget import Verdict
@@ -63,7 +63,8 @@ def turning_words(trained: Mapping[str, Any]) -> str:
 def route_words(route: Mapping[str, Any]) -> str:
     """Say a route's length, energy and time. Result: such as "146.2 m, 5.31 kJ (1.48 Wh), 4 min 52 s"."""
     words = f"{route['length_m']:.1f} m, {energy_words(route['energy_j'])}"
-    return f"{words}, {duration_words(route['duration_s'])}" if route.get("duration_s") is not None else words
+    words += f", {duration_words(route['duration_s'])}" if route.get("duration_s") is not None else ""
+    return words + moved_words(route.get("goal_moved_m", 0.0))
 
 
 def saving_words(route: Mapping[str, Any], shortest: Mapping[str, Any]) -> str:

@@ -24,6 +24,7 @@ import httpx
 
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import CalibrationRow
 from joulemap.service.work.calibrations import REPORT
 from tests.service.clusters import free_port
 from tests.service.preload import disturb, disturbed
@@ -203,7 +204,7 @@ def _check(folder: Path, load: Load, url: str | None) -> None:
         if kind == "costmaps":
             assert fingerprint(store.lattice_path(job_id)) == expected, job_id
         else:
-            report = json.loads((store.calibration_folder(job_id) / REPORT).read_text(encoding="utf-8"))
+            report = json.loads((store.path(CalibrationRow, job_id) / REPORT).read_text(encoding="utf-8"))
             found.add(json.dumps([report["effects"], report["error"]], sort_keys=True))
             assert any((data / "models" / job_id).iterdir()), job_id
     assert len(found) <= 1, "calibrations of the same runs differ"

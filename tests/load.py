@@ -175,7 +175,7 @@ def _stolen_s() -> float:
     return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) / _TICK_HZ
 
 
-async def until_ready(server: Server, connection: Connection, deadline_s: float = 300.0) -> None:
+async def until_ready(server: Server, connection: Connection, deadline_s: float = 900.0) -> None:
     deadline = time.monotonic() + deadline_s
     while time.monotonic() < deadline and server.process.poll() is None:
         try:
@@ -230,6 +230,31 @@ def _point(cells: int, chance: random.Random) -> list[float]:
     return [round(chance.uniform(1.0, cells - 1.0), 2) for _ in range(2)]
 
 
+async def _begun(server: Server, place: str, route: list[list[float]]) -> tuple[Connection, str]:
+    """A connection, and the address of the updates of a drive that was begun over it."""
+    client = Connection(server.port)
+    status, answer = await client.ask("POST", f"{place}/drives", json.dumps({"path": route}).encode())
+    assert status == 201, answer[:500]
+    return client, f"/v1/drives/{json.loads(answer)['id']}/updates"
+
+
+async def _follow(
+    client: Connection, url: str, route: list[list[float]], seen: Seen, until: float, chance: random.Random
+) -> None:
+    """A robot that drives along a route at 0.5 m/s and sends a sample a second."""
+    along, sent = np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T))), 0
+    await asyncio.sleep(chance.uniform(0.0, 1.0))
+
+    async def _update() -> int:
+        nonlocal sent
+        position = [float(np.interp(0.5 * sent, along, axis)) for axis in np.transpose(route)]
+        sample = {"time_s": float(sent), "position": position, "power_w": chance.uniform(50.0, 90.0)}
+        sent += 1
+        return seen.saw(*await client.ask("POST", url, json.dumps({"samples": [sample]}).encode()))
+
+    await _repeat(seen, until, _update, 1.0)
+
+
 async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]:
     first = Connection(server.port)
     await until_ready(server, first)
@@ -247,7 +272,8 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
     status, answer = await first.ask("POST", f"{place}/paths", _question())
     assert status == 200, answer[:500]
     route = [point[:2] for point in json.loads(answer)["path"]]
-    seen = {name: Seen(name) for name in ("paths", "positions", "readyz", "healthz")}
+    seen = {name: Seen(name) for name in ("paths", "positions", "drives", "readyz", "healthz")}
+    drives = [await _begun(server, place, route) for _ in range(options.drives)]  # before what is measured
     until = time.perf_counter() + options.seconds
     cpu, stolen, began, stalls = server.cpu_s(), _stolen_s(), time.perf_counter(), await _stalls(server)
     sleeper = await asyncio.create_subprocess_exec(
@@ -270,6 +296,7 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
             return seen["positions"].saw(*await client.ask("POST", f"{place}/feasibility", json.dumps(task).encode()))
 
         tasks.append(_repeat(seen["positions"], until, _position))
+    tasks += [_follow(*drive, route, seen["drives"], until, chance) for drive in drives]
     for name in ("readyz", "healthz"):
         client = Connection(server.port)
 
@@ -345,6 +372,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--clients", type=int, default=64, help="clients that ask for paths between random places")
     parser.add_argument("--robots", type=int, default=0, help="robots that ask from their position along a route")
+    parser.add_argument(
+        "--drives", type=int, default=0, help="robots whose drives are followed, a sample a second each"
+    )
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--cells", type=int, default=1000, help="cells along a side, 1 m each")
     parser.add_argument("--no-refine", dest="refine", action="store_false", help="paths over grid moves only")
@@ -354,14 +384,7 @@ def main() -> None:
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="print the memory every so many seconds")
     parser.add_argument("--data-dir", type=Path, help="keep the cost map here for the next time")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--stalled", type=int, default=0, help="instead: connections that ask and never read")
-    parser.add_argument("--streams", type=int, default=0, help="instead: connections that follow a job")
     parser.add_argument("--hog", type=int, default=0, help="instead: small questions beside so many of another key")
-    parser.add_argument("--addresses", type=int, default=1, help="from so many addresses of the loopback network")
-    parser.add_argument("--rate", type=float, default=400.0, help="of which at most so many are opened in a second")
-    parser.add_argument(
-        "--again", type=float, default=0.0, metavar="S", help="and again so long after they were closed"
-    )
     parser.add_argument("--json", type=Path, help="also write the figures here")
     parser.add_argument("settings", nargs="*", metavar="NAME=VALUE", help="settings of the service: JOULEMAP_...=...")
     options = parser.parse_args()
@@ -369,11 +392,10 @@ def main() -> None:
         folder = options.data_dir or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         settings = dict(pair.split("=", 1) for pair in options.settings)
-        if options.stalled or options.streams or options.hog:
-            from tests import crowd, hog  # which import this module
+        if options.hog:
+            from tests import hog  # which imports this module
 
-            measure = hog.measure if options.hog else crowd.measure
-            found = measure(folder, options, settings)
+            found = hog.measure(folder, options, settings)
             if options.json:
                 options.json.write_text(json.dumps(found, indent=1))
             return

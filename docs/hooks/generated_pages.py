@@ -30,10 +30,6 @@ ELSEWHERE = {
     "records/model-card.md": "model/weights/MODEL_CARD.md",
     "records/reproduction.md": "tests/paper/REPRODUCTION.md",
     **VALIDATION,
-    **{
-        f"records/figures/{figure.name}": f"tests/paper/figures/{figure.name}"
-        for figure in (ROOT / "tests/paper/figures").iterdir()
-    },
 }
 """Place in the site -> file of the repository. Pages link to the file, so that links work in the repository too."""
 

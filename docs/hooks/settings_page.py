@@ -16,7 +16,7 @@ _INTRO = """# Settings of the service
 
 def settings_page() -> str:
     """A table of every environment variable, its default and its meaning."""
-    from joulemap.service.settings import Settings
+    from joulemap.service.hosting.settings import Settings
 
     rows = (
         f"| `JOULEMAP_{name.upper()}` | {_default(field.default)} | {field.description} |"

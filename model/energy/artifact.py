@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from numpy.typing import NDArray
 from safetensors import SafetensorError
@@ -17,44 +17,34 @@ from safetensors.numpy import load, save
 from joulemap.model.energy.architectures import ARCHITECTURES, find_architecture
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
-from joulemap.model.energy.learned import Learned
+from joulemap.model.energy.learned import Facts, Learned
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ModelError
 
 if TYPE_CHECKING:
+    from joulemap.model.energy.architectures.contract import Architecture
     from joulemap.model.energy.architectures.network import Network
+
+Made = TypeVar("Made")
 
 WEIGHTS_FILE = "weights.safetensors"
 CONFIG_FILE = "config.json"
 FORMAT = 2
+_CHECKSUM = "checksum"  # of all else in the file; models of version 0.1 have none
 
 
 @dataclass(frozen=True)
 class Artifact:
-    """A trained network and how it was made.
+    """A trained network and how it was made."""
 
-    Attributes
-    ----------
-    net : Network
-        The network.
-    domain : Domain
-        Ranges of what it was trained on.
-    size : int
-        Rows and columns of its input; 0 is replaced by the architecture's usual size.
-    spread : Spread
-        Its errors on runs that it had not seen.
-    costs : DriveCosts
-        Of turning, time and speeding up in its runs, beyond straight driving.
-    training : mapping
-        JSON-able facts: seed, data_hash, runs and run_hashes, held_out (errors on whole runs that were not trained on),
-        command, started_from.
-    """
-
-    net: Network
-    domain: Domain
-    size: int = 0
-    spread: Spread = field(default_factory=Spread)
+    net: Network  # The network
+    domain: Domain  # Ranges of what it was trained on
+    size: int = 0  # Rows and columns of its input; 0 is replaced by the architecture's usual size
+    spread: Spread = field(default_factory=Spread)  # Its errors on runs that it had not seen
+    # Of turning, time and speeding up in its runs, beyond straight driving
     costs: DriveCosts = field(default_factory=DriveCosts)
+    # JSON-able facts: seed, data_hash, runs and run_hashes, held_out (errors on whole runs that were not trained on),
+    # command, started_from
     training: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -91,6 +81,7 @@ def save_artifact(folder: str | Path, artifact: Artifact) -> str:
         "drive_costs": artifact.costs.as_dict(),
         "training": dict(artifact.training),
     }
+    config[_CHECKSUM] = _sum(config)
     (folder / CONFIG_FILE).unlink(missing_ok=True)
     _write(folder / WEIGHTS_FILE, data)
     _write(folder / CONFIG_FILE, (json.dumps(config, indent=2) + "\n").encode())
@@ -99,73 +90,34 @@ def save_artifact(folder: str | Path, artifact: Artifact) -> str:
 
 def read_artifact(folder: str | Path) -> Artifact:
     """Read a model's folder."""
-    found = _read(Path(folder))
-    try:
-        net: Network = find_architecture(found.architecture).read(found.network, found.weights, size=found.size)
-    except ModelError as error:
-        raise ModelError(f"{folder}: {error.message}", **error.context) from error
-    return Artifact(net, found.domain, found.size, found.spread, found.costs, found.config.get("training") or {})
+    kind, config, weights, facts = _read(Path(folder))
+    net: Network = _of(folder, lambda: kind.read(config.get("network") or {}, weights, size=facts.size))
+    return Artifact(net, facts.domain, facts.size, facts.spread, facts.costs, config.get("training") or {})
 
 
 def load_artifact(folder: str | Path, *, name: str | None = None) -> Learned:
     """Return the predictor of a model's folder."""
     folder = Path(folder)
-    found = _read(folder)
+    kind, config, weights, facts = _read(folder)
+    facts = replace(facts, name=name or folder.resolve().name)
+    return _of(folder, lambda: kind.predictor_of_weights(config.get("network") or {}, weights, facts))
+
+
+def predictor_of(artifact: Artifact, *, name: str = "") -> Learned:
+    """Make a predictor of an artifact."""
+    facts = Facts(artifact.domain, artifact.size, name, spread=artifact.spread, costs=artifact.costs)
+    return find_architecture(artifact.architecture).predictor(artifact.net, facts)
+
+
+def _of(folder: str | Path, make: Callable[[], Made]) -> Made:
+    """What is made of a folder, which errors name."""
     try:
-        return find_architecture(found.architecture).predictor_of_weights(
-            found.network,
-            found.weights,
-            found.domain,
-            {"kind": found.architecture, "version": found.config["version"], "config": found.config},
-            size=found.size,
-            name=name or folder.resolve().name,
-            spread=found.spread,
-            costs=found.costs,
-        )
+        return make()
     except ModelError as error:
         raise ModelError(f"{folder}: {error.message}", **error.context) from error
 
 
-def predictor_of(artifact: Artifact, provenance: Mapping[str, Any], *, name: str) -> Learned:
-    """Make a predictor of an artifact."""
-    return find_architecture(artifact.architecture).predictor(
-        artifact.net,
-        artifact.domain,
-        provenance,
-        size=artifact.size,
-        name=name,
-        spread=artifact.spread,
-        costs=artifact.costs,
-    )
-
-
-@dataclass(frozen=True)
-class _Files:
-    """What lies in a model's folder."""
-
-    config: dict[str, Any]
-    weights: dict[str, NDArray[Any]]
-    architecture: str
-    size: int
-
-    @property
-    def network(self) -> dict[str, Any]:
-        return dict(self.config.get("network") or {})
-
-    @property
-    def domain(self) -> Domain:
-        return Domain.from_dict(self.config.get("domain") or {})
-
-    @property
-    def spread(self) -> Spread:
-        return Spread.from_dict(self.config.get("spread") or {})
-
-    @property
-    def costs(self) -> DriveCosts:
-        return _costs_of(self.config)
-
-
-def _read(folder: Path) -> _Files:
+def _read(folder: Path) -> tuple[Architecture[Any], dict[str, Any], dict[str, NDArray[Any]], Facts]:
     """Both files of a folder, which belong together, of an architecture that is known."""
     config = _read_config(folder)
     try:
@@ -191,7 +143,17 @@ def _read(folder: Path) -> _Files:
         weights = load(data)
     except (SafetensorError, KeyError) as error:  # KeyError: a type of numbers that numpy has not
         raise ModelError(f"{folder / WEIGHTS_FILE} cannot be read: {error}") from error
-    return _Files(config, weights, name, size)
+    facts = _of(
+        folder,
+        lambda: Facts(
+            Domain.from_dict(config.get("domain") or {}),
+            size,
+            provenance={"kind": name, "version": digest, "config": config},
+            spread=Spread.from_dict(config.get("spread") or {}),
+            costs=_costs_of(config),
+        ),
+    )
+    return find_architecture(name), config, weights, facts
 
 
 def _costs_of(config: Mapping[str, Any]) -> DriveCosts:
@@ -211,7 +173,14 @@ def _read_config(folder: Path) -> dict[str, Any]:
         raise ModelError(f"{folder / CONFIG_FILE} is not valid JSON: {error}") from error
     if not isinstance(config, dict) or config.get("format") != FORMAT:
         raise ModelError(f"{folder / CONFIG_FILE} is not in the model format {FORMAT} of this version")
+    kept = config.pop(_CHECKSUM, None)
+    if kept not in (None, _sum(config)):
+        raise ModelError(f"{folder / CONFIG_FILE} is not what was written: the folder is damaged or mixed")
     return config
+
+
+def _sum(config: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(config).encode()).hexdigest()[:16]
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -23,32 +23,20 @@ _SAMPLE_CELLS = 4_000_000  # a larger map's slopes are judged on every n-th row 
 
 @dataclass(frozen=True)
 class Domain:
-    """Ranges (low, high) of what a model was trained on.
+    """Ranges (low, high) of what a model was trained on."""
 
-    Attributes
-    ----------
-    robot : dict of str to (float, float)
-        By the keys of `ROBOT_KEYS` and "hotel_over_weight" (idle energy per metre over m g).
-    resolution_m : (float, float)
-        Metres per pixel of the heightmaps.
-    max_slope_deg : float
-        Steepest ground [degrees].
-    payload_kg : (float, float)
-        Logged load on top of the robot's mass [kg]. A model accounts for a logged load inside this range, and beyond it
-        only when a calibration has found an effect of it.
-    turned_rad : float
-        Mean turn per segment that is in the model's prices [rad]: of models of version 0.1, which learned from straight
-        segments alone, and nobody drives perfectly straight.
-    driven : dict of str to (float, float)
-        What the runs of a training on measured runs showed, without the lowest and the highest hundredth: "speed_mps",
-        "turn_rad_per_m", "turn_radps", "grade_deg" (uphill positive). Empty where the model learned from no such runs.
-    """
-
+    # By the keys of `ROBOT_KEYS` and "hotel_over_weight" (idle energy per metre over m g)
     robot: dict[str, tuple[float, float]]
-    resolution_m: tuple[float, float]
-    max_slope_deg: float
+    resolution_m: tuple[float, float]  # Metres per pixel of the heightmaps
+    max_slope_deg: float  # Steepest ground [degrees]
+    # Logged load on top of the robot's mass [kg]. A model accounts for a logged load inside this range, and beyond it
+    # only when a calibration has found an effect of it.
     payload_kg: tuple[float, float] = (0.0, 0.0)
+    # Mean turn per segment that is in the model's prices [rad]: of models of version 0.1, which learned from straight
+    # segments alone, and nobody drives perfectly straight
     turned_rad: float = 0.0
+    # What the runs of a training on measured runs showed, without the lowest and the highest hundredth: "speed_mps",
+    # "turn_rad_per_m", "turn_radps", "grade_deg" (uphill positive). Empty where the model learned from no such runs.
     driven: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:

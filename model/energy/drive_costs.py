@@ -27,24 +27,15 @@ class DriveCosts:
     """Costs that were fitted to measured runs together with a network.
 
     A network answers for driving straight ahead at the robot's declared speed. All costs are zero there.
-
-    Attributes
-    ----------
-    turn_j_per_rad : float
-        Energy of turning [J/rad].
-    driving_w : float, optional
-        Power while the robot moves, beyond its declared idle power [W], for the time that it took more, or less, than
-        at its declared speed. None where the time of a segment does not count.
-    speed_up_kg : float
-        Energy of speeding up over the gain of half the squared speed [J per m^2/s^2].
-    mass_kg : float
-        Of the robot that drove [kg]. Costs of another robot are in proportion to its mass, but for `driving_w`. 0 where
-        it is not known: costs are then those of every robot.
     """
 
-    turn_j_per_rad: float = 0.0
+    turn_j_per_rad: float = 0.0  # Energy of turning [J/rad]
+    # Power while the robot moves, beyond its declared idle power [W], for the time that it took more, or less, than
+    # at its declared speed. None where the time of a segment does not count.
     driving_w: float | None = None
-    speed_up_kg: float = 0.0
+    speed_up_kg: float = 0.0  # Energy of speeding up over the gain of half the squared speed [J per m^2/s^2]
+    # Of the robot that drove [kg]. Costs of another robot are in proportion to its mass, but for `driving_w`. 0 where
+    # it is not known: costs are then those of every robot.
     mass_kg: float = 0.0
 
     def __post_init__(self) -> None:

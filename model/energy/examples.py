@@ -28,50 +28,22 @@ _USUAL = {"driven_m": 1.0, "beside_j": 0.0}  # of segments that go 1 m straight 
 
 @dataclass(frozen=True, eq=False)
 class Examples:
-    """Measured 1 m segments as arrays of length n.
+    """Measured 1 m segments as arrays of length n."""
 
-    Attributes
-    ----------
-    inputs : ndarray of float32, (n, S, S)
-        Heights [m] that the network sees, cut as its architecture wants them.
-    features : ndarray of float32, (n, 8)
-        `FEATURES` of the robot and the map.
-    heading_rad : ndarray of float32, (n,)
-        Heading [rad].
-    tan_grade : ndarray of float32, (n,)
-        Tangent of the pitch along the motion, positive uphill.
-    weight_n : ndarray of float32, (n,)
-        Weight of the robot and its load [N].
-    rolling_resistance : ndarray of float32, (n,)
-        Declared mu.
-    hotel_per_m : ndarray of float32, (n,)
-        Energy per metre that does not move the robot [J/m].
-    regeneration : ndarray of float32, (n,)
-        Share of braking energy that returns to the battery.
-    voltage_v : ndarray of float32, (n,)
-        Nominal voltage [V].
-    energy_j : ndarray of float32, (n,)
-        Energy drawn from the battery [J].
-    run : ndarray of int64, (n,)
-        The run a segment belongs to: whole runs are held out.
-    driven_m : ndarray of float32, (n,)
-        Length of the track [m], by which a network's answer for 1 m is multiplied.
-    beside_j : ndarray of float32, (n,)
-        Energy that is known beside the network [J]: of turning, time and speeding up.
-    """
-
-    inputs: NDArray[np.float32]
-    features: NDArray[np.float32]
-    heading_rad: NDArray[np.float32]
-    tan_grade: NDArray[np.float32]
-    weight_n: NDArray[np.float32]
-    rolling_resistance: NDArray[np.float32]
-    hotel_per_m: NDArray[np.float32]
-    regeneration: NDArray[np.float32]
-    voltage_v: NDArray[np.float32]
-    energy_j: NDArray[np.float32]
-    run: NDArray[np.int64]
+    inputs: NDArray[np.float32]  # (n, S, S): Heights [m] that the network sees, cut as its architecture wants them
+    features: NDArray[np.float32]  # (n, 8): `FEATURES` of the robot and the map
+    heading_rad: NDArray[np.float32]  # (n,): Heading [rad]
+    tan_grade: NDArray[np.float32]  # (n,): Tangent of the pitch along the motion, positive uphill
+    weight_n: NDArray[np.float32]  # (n,): Weight of the robot and its load [N]
+    rolling_resistance: NDArray[np.float32]  # (n,): Declared mu
+    hotel_per_m: NDArray[np.float32]  # (n,): Energy per metre that does not move the robot [J/m]
+    regeneration: NDArray[np.float32]  # (n,): Share of braking energy that returns to the battery
+    voltage_v: NDArray[np.float32]  # (n,): Nominal voltage [V]
+    energy_j: NDArray[np.float32]  # (n,): Energy drawn from the battery [J]
+    run: NDArray[np.int64]  # (n,): The run a segment belongs to: whole runs are held out
+    # (n,): Length of the track [m], by which a network's answer for 1 m is multiplied
     driven_m: NDArray[np.float32] = field(default_factory=lambda: np.ones(0, dtype=np.float32))
+    # (n,): Energy that is known beside the network [J]: of turning, time and speeding up
     beside_j: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
 
     def __post_init__(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.energy.domain import TOLERANCE, Domain
 from joulemap.model.energy.drive_costs import DriveCosts
+from joulemap.model.energy.drivetrain import SIMULATED
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
@@ -26,23 +27,24 @@ _COMPARED = {  # what the prices of a model of measured runs depend on, in words
 }
 
 
+@dataclass(frozen=True)
+class Facts:
+    """What is known of a trained network beside its weights."""
+
+    domain: Domain  # what it was trained on
+    size: int  # rows and columns of its input
+    name: str = ""
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # what its predictor says of itself, JSON-able
+    spread: Spread = field(default_factory=Spread)  # its errors on held-out runs
+    costs: DriveCosts = field(default_factory=DriveCosts)  # of turning, time and speeding up
+
+
 class Learned(ABC):
     """The part that all predictors of a trained network share."""
 
-    def __init__(
-        self,
-        name: str,
-        domain: Domain,
-        provenance: Mapping[str, Any],
-        *,
-        spread: Spread | None = None,
-        costs: DriveCosts | None = None,
-    ) -> None:
-        self.name = name
-        self.domain = domain
-        self.spread = spread or Spread()
-        self.costs = costs or DriveCosts()
-        self._provenance = dict(provenance)
+    def __init__(self, facts: Facts) -> None:
+        self.name, self.domain, self.spread, self.costs = facts.name, facts.domain, facts.spread, facts.costs
+        self._provenance = dict(facts.provenance)
 
     def provenance(self) -> dict[str, Any]:
         """Return what the predictor is, JSON-able."""
@@ -50,10 +52,24 @@ class Learned(ABC):
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """Return one sentence for every way in which a map or robot differs from what the network learned."""
-        training = (self._provenance.get("config") or {}).get("training") or {}
-        trained = training.get("robot")
+        trained = self._training.get("robot")
         other = robot_warnings(trained, robot, model=self.name) if isinstance(trained, Mapping) else []
+        if robot.drivetrain_efficiency > 0.0 and not self.drivetrain_efficiency:
+            other.append(
+                f"the drivetrain efficiency of {robot.drivetrain_efficiency:g} is not used: {self.name} learned what "
+                "climbs cost from runs of a robot that declared none"
+            )
         return [*other, *self.domain.warnings(heightmap, robot)]
+
+    @property
+    def _training(self) -> Mapping[str, Any]:
+        return (self._provenance.get("config") or {}).get("training") or {}
+
+    @property
+    def drivetrain_efficiency(self) -> float:
+        """That of the robot whose runs it learned from, 0 where that was not declared; of simulated ones the mean."""
+        trained = self._training.get("robot")
+        return float(trained.get("drivetrain_efficiency", 0.0)) if isinstance(trained, Mapping) else SIMULATED
 
     def robot_with_turning(self, robot: Robot, kinds: Mapping[str, float] | None = None) -> Robot:
         """Return the robot with the energy of turning that the model's runs showed, whatever the kinds of ground.

@@ -12,24 +12,12 @@ from scipy.stats import t as student
 
 @dataclass(frozen=True)
 class MeanLevel:
-    """Measured over predicted energy on runs that were left out.
+    """Measured over predicted energy on runs that were left out."""
 
-    Attributes
-    ----------
-    ratio : float
-        Sum of the measured energies over that of the predicted ones.
-    std : float
-        Standard error of the ratio, by a jackknife over runs; infinite for one run.
-    agrees : bool
-        Whether 1 is within the 95 % confidence interval of the ratio.
-    factor : float
-        By which predictions are multiplied: 1 where the sums agree, and the ratio where they do not.
-    """
-
-    ratio: float = 1.0
-    std: float = float("inf")
-    agrees: bool = True
-    factor: float = 1.0
+    ratio: float = 1.0  # Sum of the measured energies over that of the predicted ones
+    std: float = float("inf")  # Standard error of the ratio, by a jackknife over runs; infinite for one run
+    agrees: bool = True  # Whether 1 is within the 95 % confidence interval of the ratio
+    factor: float = 1.0  # By which predictions are multiplied: 1 where the sums agree, and the ratio where they do not
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers, JSON-able: an infinite error as None."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from joulemap.model.energy.drivetrain import geared
 from joulemap.model.energy.grade import SEGMENT_M, tan_grade, tan_grade_lattice
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import InputError
@@ -160,6 +161,7 @@ class PhysicsPredictor:
         traction = tan_grade_lattice(heightmap, frame, headings_rad)
         traction += np.float32(robot.rolling_resistance)
         traction *= np.float32(robot.weight_n)
+        geared(traction, robot, 1.0)
         x, y = frame.centres()
         return heightmap.layers.on_kinds(traction, robot, x[None, :, None], y[:, None, None])
 
@@ -204,7 +206,7 @@ class PhysicsPredictor:
             Traction demand [J/m]; NaN where the map is unknown.
         """
         grade = np.atleast_1d(tan_grade(heightmap, x, y, heading_rad))
-        traction = eq5_traction_per_m(robot.weight_n, robot.rolling_resistance, grade)
+        traction = geared(eq5_traction_per_m(robot.weight_n, robot.rolling_resistance, grade), robot, 1.0)
         return heightmap.layers.on_kinds(traction, robot, x, y)
 
     def segment_traction_and_std(

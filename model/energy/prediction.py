@@ -20,21 +20,11 @@ from joulemap.model.terrain.heightmap import Heightmap
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predictions per segment; NaN on unknown ground.
+    """Predictions per segment; NaN on unknown ground."""
 
-    Attributes
-    ----------
-    energy_j : ndarray of float, (n,)
-        Drawn from the battery [J].
-    std_j : ndarray of float, (n,), optional
-        Its standard deviation [J]; None from a model that does not know it.
-    traction_per_m : ndarray of float, (n,)
-        Of the declared robot, before any calibration [J/m].
-    """
-
-    energy_j: FloatArray
-    std_j: FloatArray | None
-    traction_per_m: FloatArray
+    energy_j: FloatArray  # (n,): Drawn from the battery [J]
+    std_j: FloatArray | None  # (n,): Its standard deviation [J]; None from a model that does not know it
+    traction_per_m: FloatArray  # (n,): Of the declared robot, before any calibration [J/m]
 
 
 def joined(parts: Sequence[Prediction]) -> Prediction:

@@ -19,21 +19,12 @@ _MOST_FOLDS = 10  # a spread takes a second to fit
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """Odds beside what happened.
+    """Odds beside what happened."""
 
-    Attributes
-    ----------
-    below : ndarray of float, (n,)
-        Probability that was given to no more energy than each stretch took: uniform where the odds are right.
-    group : ndarray of int, (n,)
-        What each stretch was left out with.
-    factor : float
-        By which scales are multiplied: 1 where the 80 % interval holds 80 % within the error of that share.
-    """
-
+    # (n,): Probability that was given to no more energy than each stretch took: uniform where the odds are right
     below: FloatArray = field(repr=False)
-    group: NDArray[np.int64] = field(repr=False)
-    factor: float
+    group: NDArray[np.int64] = field(repr=False)  # (n,): What each stretch was left out with
+    factor: float  # By which scales are multiplied: 1 where the 80 % interval holds 80 % within the error of that share
 
     def as_dict(self) -> dict[str, Any]:
         """Return the curve and the coverage of intervals, JSON-able."""
@@ -58,7 +49,7 @@ def checked_spread(
     names, number = np.unique(group, return_inverse=True)
     if names.size < 3:
         return spread, None
-    fold, below, of = number * min(names.size, _MOST_FOLDS) // names.size, [], []
+    fold, below, of = number % min(names.size, _MOST_FOLDS), [], []  # names that are neighbours are often alike
     for k in range(int(fold.max()) + 1):
         out = fold == k
         if (~out).sum() < FEWEST:

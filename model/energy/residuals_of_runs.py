@@ -64,18 +64,17 @@ def _residuals(
 
 def keep_base_runs(
     folder: Path, heightmap: Heightmap, robot: Robot, segments: Segments, traction: FloatArray, energy: FloatArray
-) -> bool:
+) -> str | None:
     """Keep the runs that a model was trained on beside it, as the baseline of later calibrations.
 
     `traction` (n,): of every segment [J/m], from a network that was trained without its run; `energy` (n,): predicted
-    by the same network [J]. Result: False, and nothing is kept, where there are too few segments.
+    by the same network [J]. Result: SHA-256 of the record; None, and nothing is kept, where there are too few segments.
     """
     try:
         residuals, _ = _residuals(heightmap, robot, segments, traction, energy)
     except RunsError:
-        return False
-    save_record(folder, residuals)
-    return True
+        return None
+    return save_record(folder, residuals)
 
 
 def base_residuals(
@@ -83,5 +82,6 @@ def base_residuals(
 ) -> Residuals | None:
     """Return the residuals of the baseline runs. Result: None where there are no baseline runs."""
     if runs is None:
-        return None if model in MODEL_NAMES else read_record(model)
+        training = predictor.provenance().get("config", {}).get("training", {})
+        return None if model in MODEL_NAMES else read_record(model, kept=training.get("base_runs"))
     return residuals_on(predictor, heightmap, robot, runs)[0]

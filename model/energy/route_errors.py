@@ -36,7 +36,7 @@ _STARTS = ((0.02, 4.0, 20.0), (0.1, 1.0, 20.0), (0.3, 0.5, 5.0))  # offset of a 
 ENOUGH = 20
 """Fewest groups for further parameters: ten for each (Peduzzi et al. 1996)."""
 _FURTHER = {(3,): (0.3,), (4, 5): (0.01, 0.1)}  # where the search starts: v_run; bias and logarithm of the skew
-_CORRELATIONS = (1.0 / 3.0, 1e6)
+_LEAST_CORRELATION, _MOST_CORRELATION = 1.0 / 3.0, 1e6
 """Of neighbours -1/2 at least, that of the differences of independent errors; below 1 they make up for each other."""
 _MOST_SKEW = math.log(10.0)
 _FEWEST = 4  # segments of a run that is shorter than every stretch
@@ -44,40 +44,24 @@ _FEWEST = 4  # segments of a run that is shorter than every stretch
 
 @dataclass(frozen=True)
 class RouteErrors:
-    """How errors add up.
+    """How errors add up."""
 
-    Attributes
-    ----------
-    run_share : float
-        Scale of the relative error of a whole run.
-    correlation_m : float
-        Sum of the correlations of the remaining errors, as of a first-order autoregression [segments]; below 1 where
-        the errors of neighbours make up for each other.
-    freedom : float
-        Degrees of freedom of Student's t of the sums.
-    bias : float
-        Median of the relative error.
-    skew : float
-        Scale above the median over that below it.
-    groups : int
-        Number of runs, or campaigns, that differ from each other.
-    run_std_share : float
-        Scale of the error of a whole run over the sum of the standard deviations of its segments.
-    """
-
-    run_share: float
+    run_share: float  # Scale of the relative error of a whole run
+    # Sum of the correlations of the remaining errors, as of a first-order autoregression [segments]; below 1 where
+    # the errors of neighbours make up for each other
     correlation_m: float
-    freedom: float
-    bias: float
-    skew: float
-    groups: int
+    freedom: float  # Degrees of freedom of Student's t of the sums
+    bias: float  # Median of the relative error
+    skew: float  # Scale above the median over that below it
+    groups: int  # Number of runs, or campaigns, that differ from each other
+    # Scale of the error of a whole run over the sum of the standard deviations of its segments
     run_std_share: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
     """Sums over stretches, one entry each: errors, predictions, standard deviations [J], variances [J2], segments, and
-    weight.
+    weight; and the least correlation length.
     """
 
     error: FloatArray
@@ -86,6 +70,7 @@ class _Sums:
     variance: FloatArray
     count: FloatArray
     weight: FloatArray
+    least: float
 
 
 def correlated_variance(variance: FloatArray, count: FloatArray, correlation_m: float) -> FloatArray:
@@ -110,15 +95,15 @@ def fit_route_errors(
 
     An error of whole runs that grows with the standard deviations, and then a bias and unequal sides, are accepted
     where there are `ENOUGH` groups and the criterion of Schwarz (1978), with as many observations as there are groups,
-    says so: a few runs show neither. With so many groups scales and degrees of freedom are those at which the intervals
-    of `LEVELS` hold what they say.
+    says so: a few runs show neither, nor that errors of neighbours make up for each other. With so many groups scales
+    and degrees of freedom are those at which the intervals of `LEVELS` hold what they say.
     """
     sums = _sums(error_j, energy_j, std_j, run, group)
     groups = int(np.unique(group).size)
     free = [0, 1, 2]
     loss, x = min((_least(sums, groups, _coordinates(*start), free) for start in _STARTS), key=lambda found: found[0])
     if groups < ENOUGH:
-        share, correlation, freedom, _ = _parameters(x)
+        share, correlation, freedom, _ = _parameters(x, sums)
         return RouteErrors(share, correlation, freedom, 0.0, 1.0, groups)
     for more, start in _FURTHER.items():
         tried = x.copy()
@@ -126,7 +111,7 @@ def fit_route_errors(
         less, found = _least(sums, groups, tried, [*free, *more])
         if groups * (loss - less) > 0.5 * len(more) * math.log(groups):
             loss, x, free = less, found, [*free, *more]
-    share, correlation, _, std_share = _parameters(x)
+    share, correlation, _, std_share = _parameters(x, sums)
     wider, freedom = _matched(x, sums)
     skew = math.exp(_log_skew(x))
     return RouteErrors(
@@ -143,7 +128,7 @@ def _least(sums: _Sums, groups: int, start: FloatArray, free: list[int]) -> tupl
 
     def _loss(values: FloatArray) -> float:
         x[free] = values
-        freedom = _parameters(x)[2]
+        freedom = _parameters(x, sums)[2]
         away, variance = _steps(x, sums)
         tails = (freedom + 1.0) / 2.0 * np.log1p(away**2 / variance / freedom) + 0.5 * np.log(variance)
         norm = gammaln((freedom + 1.0) / 2.0) - gammaln(freedom / 2.0) - 0.5 * math.log(freedom)
@@ -157,7 +142,7 @@ def _least(sums: _Sums, groups: int, start: FloatArray, free: list[int]) -> tupl
 
 def _steps(x: FloatArray, sums: _Sums) -> tuple[FloatArray, FloatArray]:
     """Distances from the median [J] and their squared scales [J2], (n,)."""
-    share, correlation, _, std_share = _parameters(x)
+    share, correlation, _, std_share = _parameters(x, sums)
     variance = (share * sums.energy) ** 2 + (std_share * sums.std) ** 2
     variance += correlated_variance(sums.variance, sums.count, correlation)
     away = sums.error - x[4] * sums.energy
@@ -190,11 +175,11 @@ def _coordinates(share: float, correlation: float, freedom: float) -> FloatArray
     return np.array([*np.log([share, correlation, freedom - LEAST_FREEDOM]), 0.0, 0.0, 0.0])
 
 
-def _parameters(x: FloatArray) -> tuple[float, float, float, float]:
+def _parameters(x: FloatArray, sums: _Sums) -> tuple[float, float, float, float]:
     share, correlation, freedom = np.exp(np.clip(x[:3], -30.0, 30.0)).tolist()
     return (
         share,
-        float(np.clip(correlation, *_CORRELATIONS)),
+        min(max(correlation, sums.least), _MOST_CORRELATION),
         min(LEAST_FREEDOM + freedom, NORMAL_FREEDOM),
         abs(float(x[3])),
     )
@@ -216,7 +201,8 @@ def _sums(
     per_group = lengths[np.unique(cells[:, 0], return_inverse=True)[1]]
     weight = (1.0 / (count * per_group))[cell.ravel()]
     errors, energies, stds, variances, segments = np.array(found, dtype=np.float64).T
-    return _Sums(errors, energies, stds, variances, segments, weight)
+    least = _LEAST_CORRELATION if np.unique(group).size >= ENOUGH else 1.0
+    return _Sums(errors, energies, stds, variances, segments, weight, least)
 
 
 def stretches_of(mine: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:

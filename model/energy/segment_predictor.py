@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from joulemap.model.energy.domain import Domain
-from joulemap.model.energy.drive_costs import DriveCosts
+from joulemap.model.energy.drivetrain import geared
 from joulemap.model.energy.examples import cut_examples
-from joulemap.model.energy.learned import Learned
+from joulemap.model.energy.learned import Facts, Learned
 from joulemap.model.energy.tensors import ExampleTensors
-from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
+from joulemap.model.energy.uncertainty import USUAL_SPREAD, segment_std
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
@@ -33,23 +31,12 @@ class SegmentPredictor(Learned):
     answer wherever that is not below the hotel load. NaN where an input meets unknown ground.
     """
 
-    def __init__(
-        self,
-        architecture: Architecture[Any],
-        net: Network,
-        domain: Domain,
-        provenance: Mapping[str, Any],
-        *,
-        size: int,
-        name: str,
-        spread: Spread | None = None,
-        costs: DriveCosts | None = None,
-    ) -> None:
-        super().__init__(name, domain, provenance, spread=spread, costs=costs)
+    def __init__(self, architecture: Architecture[Any], net: Network, facts: Facts) -> None:
+        super().__init__(facts)
         self.architecture = architecture
         self.device = architecture.device()
         self.net = net.to(self.device).eval()
-        self.size = size
+        self.size = facts.size
 
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
@@ -100,6 +87,6 @@ class SegmentPredictor(Learned):
                 out[seen.run] = said.energy.cpu().numpy().astype(np.float64) - robot.hotel_per_m
                 if said.spread is not None:
                     relative[seen.run] = torch.exp(said.spread).cpu().numpy()
-        out = heightmap.layers.on_kinds(out, robot, xs, ys)
+        out = heightmap.layers.on_kinds(geared(out, robot, self.drivetrain_efficiency), robot, xs, ys)
         price, level = robot.price_per_m(out), robot.hotel_per_m + robot.weight_n * robot.rolling_resistance
         return out, segment_std(price, relative, level, factor=self.spread.factor)

@@ -23,21 +23,12 @@ CPU = torch.device("cpu")
 
 @dataclass(frozen=True)
 class NetworkOutput:
-    """What a network answers for B segments.
+    """What a network answers for B segments."""
 
-    Attributes
-    ----------
-    energy : Tensor, (B,)
-        Energy [J].
-    scale : Tensor, (B,)
-        What the errors of a training are relative to [J]: the measured energy, or a floor where it is small.
-    spread : Tensor, (B,), optional
-        Logarithm of the standard deviation over the energy; None where the network knows none.
-    """
-
-    energy: Tensor
+    energy: Tensor  # Energy [J]
+    # What the errors of a training are relative to [J]: the measured energy, or a floor where it is small
     scale: Tensor
-    spread: Tensor | None
+    spread: Tensor | None  # Logarithm of the standard deviation over the energy; None where the network knows none
 
 
 class ExampleTensors:

@@ -22,7 +22,7 @@ LEAST_SHARE = 0.2
 """Errors are relative to the energy, but at least to this share of that of level ground."""
 FEWEST = 20
 """Held-out segments that a spread needs."""
-_FEWEST_GROUPS = 3
+_FEWEST_FREEDOM = 3
 """Degrees of freedom of the error of a run that are assumed at least: with two or fewer it would have no variance."""
 _NORMAL_99 = 0.9248
 """Mean square of a standard normal variable, given that it is among the 99 % smallest in size."""
@@ -30,44 +30,26 @@ _NORMAL_99 = 0.9248
 
 @dataclass(frozen=True)
 class Spread:
-    """The errors of a model on held-out runs.
+    """The errors of a model on held-out runs."""
 
-    Attributes
-    ----------
-    factor : float
-        The standard deviation of a segment over the network's own estimate of it.
-    quantiles : tuple of float
-        Half widths of the intervals in standard deviations, by level of `LEVELS`; wider than those of a normal
-        distribution where the errors have heavier tails.
-    run_share : float
-        Scale of the relative error of a whole run (weather, load, mud, and what the model itself does not know), which
-        does not average out along a route.
-    correlation_m : float
-        Driven distance over which the remaining errors of neighbouring segments are correlated [m].
-    segments : int
-        Number of held-out segments; 0 where the values are assumed.
-    freedom : float or None
-        Degrees of freedom of Student's t of the remaining errors; None for a normal distribution.
-    run_freedom : float or None
-        The same of the error of a whole run: few runs, or campaigns, leave its scale uncertain.
-    bias : float
-        Median of the relative error of routes: what a route is expected to take beyond the prediction.
-    skew : float
-        Scale of the errors of routes above that median over the scale below it.
-    run_std_share : float
-        Scale of a second error of a whole run, as a share of the sum of the standard deviations of its segments: where
-        the model says that it knows less, it is more off on the whole run.
-    """
-
-    factor: float = 1.0
+    factor: float = 1.0  # The standard deviation of a segment over the network's own estimate of it
+    # Half widths of the intervals in standard deviations, by level of `LEVELS`; wider than those of a normal
+    # distribution where the errors have heavier tails
     quantiles: tuple[float, ...] = (0.674, 1.282, 1.645)
+    # Scale of the relative error of a whole run (weather, load, mud, and what the model itself does not know), which
+    # does not average out along a route
     run_share: float = 0.05
+    # Driven distance over which the remaining errors of neighbouring segments are correlated [m]
     correlation_m: float = 1.0
-    segments: int = 0
+    segments: int = 0  # Number of held-out segments; 0 where the values are assumed
+    # Degrees of freedom of Student's t of the remaining errors; None for a normal distribution
     freedom: float | None = None
+    # The same of the error of a whole run: few runs, or campaigns, leave its scale uncertain
     run_freedom: float | None = None
-    bias: float = 0.0
-    skew: float = 1.0
+    bias: float = 0.0  # Median of the relative error of routes: what a route is expected to take beyond the prediction
+    skew: float = 1.0  # Scale of the errors of routes above that median over the scale below it
+    # Scale of a second error of a whole run, as a share of the sum of the standard deviations of its segments: where
+    # the model says that it knows less, it is more off on the whole run
     run_std_share: float = 0.0
 
     def __post_init__(self) -> None:
@@ -195,7 +177,7 @@ def fit_spread(
     distribution truncated at the same place. The quantiles are those of the standardised errors, with the finite-sample
     correction. How errors add up along a route is fitted by `fit_route_errors`. The usual `run_share` counts as one
     group more where it is larger: one run that happens to be well predicted says little of the next. The error of a run
-    has as many degrees of freedom as there are groups, or fewer where the sums have fatter tails.
+    has one degree of freedom less than there are groups, or fewer where the sums have fatter tails.
 
     Reference: Lei et al. 2018, "Distribution-free predictive inference for regression" (split conformal prediction).
     """
@@ -214,7 +196,7 @@ def fit_spread(
     found = fit_route_errors(energy - predicted, predicted, factor * std, runs, groups)
     more = max(Spread.run_share, found.run_share)
     run_share = math.sqrt((found.groups * found.run_share**2 + more**2) / (found.groups + 1))
-    freedom, of_run = found.freedom, min(found.freedom, float(max(found.groups, _FEWEST_GROUPS)))
+    freedom, of_run = found.freedom, min(found.freedom, float(max(found.groups - 1, _FEWEST_FREEDOM)))
     return Spread(
         factor,
         quantiles,

@@ -19,18 +19,10 @@ _DAY_S = 86400.0
 
 @dataclass(frozen=True)
 class Wind:
-    """A wind with gusts, one entry per second, repeated when a run lasts longer.
+    """A wind with gusts, one entry per second, repeated when a run lasts longer."""
 
-    Attributes
-    ----------
-    speed_mps : ndarray of float64, (k,)
-        Speed, not negative [m/s].
-    from_rad : ndarray of float64, (k,)
-        Where the wind comes from, clockwise from north [rad].
-    """
-
-    speed_mps: FloatArray
-    from_rad: FloatArray
+    speed_mps: FloatArray  # (k,): Speed, not negative [m/s]
+    from_rad: FloatArray  # (k,): Where the wind comes from, clockwise from north [rad]
 
     def __post_init__(self) -> None:
         if self.speed_mps.size == 0 or self.speed_mps.shape != self.from_rad.shape or (self.speed_mps < 0).any():
@@ -64,18 +56,11 @@ class Wind:
 
 @dataclass(frozen=True)
 class Halts:
-    """Where a run halts, and for how long.
+    """Where a run halts, and for how long."""
 
-    Attributes
-    ----------
-    stations : ndarray of int64, (k,)
-        Stations of the path after which the robot halts.
-    seconds : ndarray of float64, (k,)
-        How long it halts there [s].
-    """
-
+    # (k,): Stations of the path after which the robot halts
     stations: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    seconds: FloatArray = field(default_factory=lambda: np.zeros(0))
+    seconds: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,): How long it halts there [s]
 
     def waited_s(self, n: int) -> FloatArray:
         """Return how long the robot has halted before each station; a halt delays everything after it.
@@ -89,43 +74,21 @@ class Halts:
 
 @dataclass(frozen=True)
 class Conditions:
-    """The conditions of one run.
+    """The conditions of one run."""
 
-    Attributes
-    ----------
-    start_s : float
-        Time stamp of the first row on the log's clock, whose days begin at multiples of 86,400 [s].
-    driven_m : float
-        Distance already driven that day [m].
-    mean_c, swing_c : float
-        Mean temperature of the day and half its range [degC]; it is coldest at 4 h and warmest at 16 h.
-    wind : Wind
-        The wind.
-    wind_logged : bool
-        Whether the log records it.
-    payload_kg : float
-        Payload that the log states [kg]; it has mass only under the effect `Payload`.
-    payload_logged : bool
-        Whether the log records it.
-    charge : float
-        State of charge at the start, 0 to 1.
-    seed : int
-        Seed of what a driver does at random under an effect.
-    halts : Halts
-        Where the robot halts. Wind and day continue meanwhile.
-    """
-
+    # Time stamp of the first row on the log's clock, whose days begin at multiples of 86,400 [s]
     start_s: float = 10.0 * 3600.0
-    driven_m: float = 0.0
+    driven_m: float = 0.0  # Distance already driven that day [m]
+    # Mean temperature of the day and half its range [degC]; it is coldest at 4 h and warmest at 16 h
     mean_c: float = 18.0
     swing_c: float = 3.0
-    wind: Wind = field(default_factory=lambda: Wind.steady(0.0, 0.0))
-    wind_logged: bool = False
-    payload_kg: float = 0.0
-    payload_logged: bool = True
-    charge: float = 0.95
-    seed: int = 0
-    halts: Halts = field(default_factory=Halts)
+    wind: Wind = field(default_factory=lambda: Wind.steady(0.0, 0.0))  # The wind
+    wind_logged: bool = False  # Whether the log records it
+    payload_kg: float = 0.0  # Payload that the log states [kg]; it has mass only under the effect `Payload`
+    payload_logged: bool = True  # Whether the log records it
+    charge: float = 0.95  # State of charge at the start, 0 to 1
+    seed: int = 0  # Seed of what a driver does at random under an effect
+    halts: Halts = field(default_factory=Halts)  # Where the robot halts. Wind and day continue meanwhile.
 
     def temperature_c(self, t: FloatArray) -> FloatArray:
         """Return the temperature of the air.
@@ -154,25 +117,13 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Day:
-    """Weather of a day in the field.
+    """Weather of a day in the field."""
 
-    Attributes
-    ----------
-    mean_c, swing_c : float
-        Mean temperature and half its range [degC].
-    wind_mps : float
-        Typical speed of the wind [m/s].
-    wind_from_rad : float
-        Typical direction from which it comes [rad].
-    wind_logged : bool
-        Whether the logs of this day record it.
-    """
-
-    mean_c: float
+    mean_c: float  # Mean temperature and half its range [degC]
     swing_c: float
-    wind_mps: float
-    wind_from_rad: float
-    wind_logged: bool
+    wind_mps: float  # Typical speed of the wind [m/s]
+    wind_from_rad: float  # Typical direction from which it comes [rad]
+    wind_logged: bool  # Whether the logs of this day record it
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Day:

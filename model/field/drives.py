@@ -20,22 +20,12 @@ STEP_M = 0.025
 
 @dataclass(frozen=True)
 class Drive:
-    """The path as driven, one entry per station, `STEP_M` from one to the next.
+    """The path as driven, one entry per station, `STEP_M` from one to the next."""
 
-    Attributes
-    ----------
-    x, y : ndarray of float64, (n,)
-        World positions [m].
-    heading_rad : ndarray of float64, (n,)
-        Headings [rad].
-    speed_mps : ndarray of float64, (n,)
-        Speeds [m/s].
-    """
-
-    x: FloatArray
+    x: FloatArray  # (n,): World positions [m]
     y: FloatArray
-    heading_rad: FloatArray
-    speed_mps: FloatArray
+    heading_rad: FloatArray  # (n,): Headings [rad]
+    speed_mps: FloatArray  # (n,): Speeds [m/s]
 
     @property
     def length_m(self) -> float:

@@ -31,30 +31,14 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Ride:
-    """A drive in progress: everything that a force or a loss may depend on.
+    """A drive in progress: everything that a force or a loss may depend on."""
 
-    Attributes
-    ----------
-    drive : Drive
-        The path.
-    motion : Motion
-        What it requires of the robot.
-    robot : FieldRobot
-        The robot as it truly is.
-    conditions : Conditions
-        The conditions of the run.
-    t : ndarray of float64, (n,)
-        Time since the start, without halts [s].
-    path_m : ndarray of float64, (n,)
-        Length of the path since the start [m].
-    """
-
-    drive: Drive
-    motion: Motion
-    robot: FieldRobot
-    conditions: Conditions
-    t: FloatArray
-    path_m: FloatArray
+    drive: Drive  # The path
+    motion: Motion  # What it requires of the robot
+    robot: FieldRobot  # The robot as it truly is
+    conditions: Conditions  # The conditions of the run
+    t: FloatArray  # (n,): Time since the start, without halts [s]
+    path_m: FloatArray  # (n,): Length of the path since the start [m]
 
     @property
     def weight_n(self) -> float:
@@ -88,18 +72,10 @@ class Ride:
 
 @dataclass(frozen=True)
 class Effect:
-    """The contract of an effect, and no effect by itself.
+    """The contract of an effect, and no effect by itself."""
 
-    Attributes
-    ----------
-    name : str
-        As a calibration would call it.
-    unit : str
-        Unit of the coefficient that belongs to `amount`.
-    """
-
-    name: ClassVar[str] = "none"
-    unit: ClassVar[str] = ""
+    name: ClassVar[str] = "none"  # As a calibration would call it
+    unit: ClassVar[str] = ""  # Unit of the coefficient that belongs to `amount`
 
     def on_site(self, site: Site) -> Site:
         """Return the site as this effect changes it."""
@@ -153,21 +129,11 @@ class Effect:
 
 @dataclass(frozen=True)
 class Within(Effect):
-    """Another effect's forces and losses, only while a quantity lies in a range.
+    """Another effect's forces and losses, only while a quantity lies in a range."""
 
-    Attributes
-    ----------
-    effect : Effect
-        The other effect.
-    quantity : str
-        grade_deg, speed_mps or temperature_c.
-    above, below : float
-        Ends of the range, in the quantity's unit.
-    """
-
-    effect: Effect
-    quantity: Literal["grade_deg", "speed_mps", "temperature_c"]
-    above: float = -math.inf
+    effect: Effect  # The other effect
+    quantity: Literal["grade_deg", "speed_mps", "temperature_c"]  # grade_deg, speed_mps or temperature_c
+    above: float = -math.inf  # Ends of the range, in the quantity's unit
     below: float = math.inf
 
     def __post_init__(self) -> None:

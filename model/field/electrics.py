@@ -23,25 +23,13 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Pack:
-    """A lithium battery pack.
+    """A lithium battery pack."""
 
-    Attributes
-    ----------
-    nominal_v, capacity_ah : float
-        Voltage [V] and capacity [Ah] as labelled.
-    resistance_ohm : float
-        Internal resistance at 25 degC [ohm].
-    charge : float
-        State of charge at the start, 0 to 1.
-    temperature_c : float
-        Temperature of the pack [degC].
-    """
-
-    nominal_v: float
+    nominal_v: float  # Voltage [V] and capacity [Ah] as labelled
     capacity_ah: float
-    resistance_ohm: float
-    charge: float = 0.95
-    temperature_c: float = 18.0
+    resistance_ohm: float  # Internal resistance at 25 degC [ohm]
+    charge: float = 0.95  # State of charge at the start, 0 to 1
+    temperature_c: float = 18.0  # Temperature of the pack [degC]
 
     @classmethod
     def of(cls, robot: FieldRobot, *, charge: float = 0.95, temperature_c: float = 18.0) -> Pack:

@@ -23,18 +23,10 @@ _FIRST_HOUR = 7.5  # tyres are pumped up in the morning
 
 @dataclass(frozen=True)
 class Turning(Effect):
-    """Tyres scrub sideways in turns.
+    """Tyres scrub sideways in turns."""
 
-    Attributes
-    ----------
-    scrub : float
-        The moment is scrub x load x half the wheelbase.
-    sliding_rad_s : float
-        Rate of turning at which the tyres slide and the moment is full [rad/s].
-    """
-
-    scrub: float
-    sliding_rad_s: float = 0.05
+    scrub: float  # The moment is scrub x load x half the wheelbase
+    sliding_rad_s: float = 0.05  # Rate of turning at which the tyres slide and the moment is full [rad/s]
     name: ClassVar[str] = "turning"
     unit: ClassVar[str] = "J/rad"
 
@@ -52,14 +44,9 @@ class AirDrag(Effect):
     """Drag of the air, by its speed relative to the moving robot.
 
     F = 0.5 rho c A |v| v_ahead, with rho = 1.2 kg/m3 and v the speed of the air relative to the robot.
-
-    Attributes
-    ----------
-    drag_area_m2 : float
-        Drag coefficient times area [m2].
     """
 
-    drag_area_m2: float
+    drag_area_m2: float  # Drag coefficient times area [m2]
     name: ClassVar[str] = "wind"
     unit: ClassVar[str] = "J/m per (m/s)^2"
 
@@ -96,18 +83,10 @@ class Payload(Effect):
 
 @dataclass(frozen=True)
 class Speed(Effect):
-    """The driver keeps no constant speed, and a viscous loss grows with it.
+    """The driver keeps no constant speed, and a viscous loss grows with it."""
 
-    Attributes
-    ----------
-    viscous_s_per_m : float
-        Viscous force over weight and speed [s/m].
-    spread : float
-        Standard deviation of the logarithm of the speed.
-    """
-
-    viscous_s_per_m: float
-    spread: float
+    viscous_s_per_m: float  # Viscous force over weight and speed [s/m]
+    spread: float  # Standard deviation of the logarithm of the speed
     name: ClassVar[str] = "speed"
     unit: ClassVar[str] = "J/m per m/s"
 
@@ -128,17 +107,10 @@ class Acceleration(Effect):
     """Stop-and-go every few metres, with rotors behind the gears that must be accelerated.
 
     The gears are self-locking: the energy of the rotors is lost when they slow down.
-
-    Attributes
-    ----------
-    rotors_kg : float
-        Inertia of the rotors, as a mass at the ground [kg].
-    every_m : float
-        Mean distance between two slow places [m].
     """
 
-    rotors_kg: float
-    every_m: float = 5.0
+    rotors_kg: float  # Inertia of the rotors, as a mass at the ground [kg]
+    every_m: float = 5.0  # Mean distance between two slow places [m]
     name: ClassVar[str] = "acceleration"
     unit: ClassVar[str] = "kg"
 
@@ -167,20 +139,11 @@ class ColdGrease(Effect):
     """Grease that stiffens in the cold, exponentially.
 
     F / weight = share (exp((warm_c - T) / scale_k) - 1) / (exp(warm_c / scale_k) - 1), negative above `warm_c`.
-
-    Attributes
-    ----------
-    share : float
-        Drag over weight at 0 degC.
-    warm_c : float
-        Temperature at which there is no drag [degC].
-    scale_k : float
-        The drag grows by a factor e over this many kelvin.
     """
 
-    share: float
-    warm_c: float = 20.0
-    scale_k: float = 18.0
+    share: float  # Drag over weight at 0 degC
+    warm_c: float = 20.0  # Temperature at which there is no drag [degC]
+    scale_k: float = 18.0  # The drag grows by a factor e over this many kelvin
     name: ClassVar[str] = "temperature"
     unit: ClassVar[str] = "J/m/K"
 
@@ -197,14 +160,9 @@ class SideSlip(Effect):
     """Wet ground on which tyres slip sideways across a slope.
 
     F = weight |sin(roll)| slip, with slip = |sin(roll)| / grip, at most 0.8.
-
-    Attributes
-    ----------
-    grip : float
-        Side force over weight and slip.
     """
 
-    grip: float
+    grip: float  # Side force over weight and slip
     name: ClassVar[str] = "cross_slope"
     unit: ClassVar[str] = "J/m per squared sine"
 
@@ -218,18 +176,10 @@ class SideSlip(Effect):
 
 @dataclass(frozen=True)
 class SoftClass(Effect):
-    """A larger rolling loss on one kind of ground.
+    """A larger rolling loss on one kind of ground."""
 
-    Attributes
-    ----------
-    word : str
-        What the operator calls that ground.
-    factor : float
-        Factor on the rolling loss there.
-    """
-
-    word: str
-    factor: float
+    word: str  # What the operator calls that ground
+    factor: float  # Factor on the rolling loss there
     name: ClassVar[str] = "terrain_class"
 
     def stated(self) -> float:
@@ -243,21 +193,11 @@ class SoftClass(Effect):
 
 @dataclass(frozen=True)
 class WetPatch(Effect):
-    """A larger rolling loss in one soft spot.
+    """A larger rolling loss in one soft spot."""
 
-    Attributes
-    ----------
-    factor : float
-        Factor on the rolling loss in the middle.
-    radius_m : float
-        Distance from the middle at which the factor fades [m].
-    east, north : float
-        Place of the middle, 0 to 1 over the width and height of the site.
-    """
-
-    factor: float
-    radius_m: float
-    east: float
+    factor: float  # Factor on the rolling loss in the middle
+    radius_m: float  # Distance from the middle at which the factor fades [m]
+    east: float  # Place of the middle, 0 to 1 over the width and height of the site
     north: float
     name: ClassVar[str] = "local_friction"
 
@@ -273,18 +213,10 @@ class WetPatch(Effect):
 
 @dataclass(frozen=True)
 class Drift(Effect):
-    """Mud that gathers with the distance, or tyres that lose air over the hours: a growing drag.
+    """Mud that gathers with the distance, or tyres that lose air over the hours: a growing drag."""
 
-    Attributes
-    ----------
-    share_per_unit : float
-        Growth of the drag over the load, per kilometre or per hour.
-    over : str
-        km or h.
-    """
-
-    share_per_unit: float
-    over: Literal["km", "h"] = "km"
+    share_per_unit: float  # Growth of the drag over the load, per kilometre or per hour
+    over: Literal["km", "h"] = "km"  # km or h
     name: ClassVar[str] = "drift"
 
     def __post_init__(self) -> None:
@@ -304,18 +236,10 @@ class Drift(Effect):
 
 @dataclass(frozen=True)
 class Furrows(Effect):
-    """Ploughed ground: driving across the furrows takes energy, driving along them takes none.
+    """Ploughed ground: driving across the furrows takes energy, driving along them takes none."""
 
-    Attributes
-    ----------
-    share : float
-        Drag over load when driving across.
-    along_rad : float
-        Heading of the furrows [rad].
-    """
-
-    share: float
-    along_rad: float
+    share: float  # Drag over load when driving across
+    along_rad: float  # Heading of the furrows [rad]
     name: ClassVar[str] = "learned:heading"
     unit: ClassVar[str] = "J/m across"
 

@@ -16,15 +16,9 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HotelLoad(Effect):
-    """A consumer that nobody declared draws power all the time.
+    """A consumer that nobody declared draws power all the time."""
 
-    Attributes
-    ----------
-    extra_w : float
-        Its power [W].
-    """
-
-    extra_w: float
+    extra_w: float  # Its power [W]
     name: ClassVar[str] = "hotel_load"
     unit: ClassVar[str] = "W"
 
@@ -40,15 +34,9 @@ class HotelLoad(Effect):
 
 @dataclass(frozen=True)
 class Braking(Effect):
-    """Braking with current: downhill the controller slows the robot with power from the battery.
+    """Braking with current: downhill the controller slows the robot with power from the battery."""
 
-    Attributes
-    ----------
-    share : float
-        That power over the power which the descent releases.
-    """
-
-    share: float
+    share: float  # That power over the power which the descent releases
     name: ClassVar[str] = "braking"
 
     def power_w(self, ride: Ride, power_w: FloatArray) -> FloatArray:
@@ -61,15 +49,9 @@ class Braking(Effect):
 
 @dataclass(frozen=True)
 class SensorGain(Effect):
-    """A current meter with a wrong scale.
+    """A current meter with a wrong scale."""
 
-    Attributes
-    ----------
-    gain : float
-        Reading over true current.
-    """
-
-    gain: float
+    gain: float  # Reading over true current
     name: ClassVar[str] = "sensor_gain"
 
     def reading(self) -> float:
@@ -81,18 +63,10 @@ class SensorGain(Effect):
 
 @dataclass(frozen=True)
 class Connector(Effect):
-    """A corroded connector behind the meter turns current into heat.
+    """A corroded connector behind the meter turns current into heat."""
 
-    Attributes
-    ----------
-    resistance_ohm : float
-        Its resistance [ohm].
-    volts : float
-        Voltage that the current is computed with [V].
-    """
-
-    resistance_ohm: float
-    volts: float
+    resistance_ohm: float  # Its resistance [ohm]
+    volts: float  # Voltage that the current is computed with [V]
     name: ClassVar[str] = "battery"
     unit: ClassVar[str] = "ohm"
 
@@ -108,18 +82,10 @@ class Connector(Effect):
 
 @dataclass(frozen=True)
 class HotMotors(Effect):
-    """Motors that lose efficiency when they are hot.
+    """Motors that lose efficiency when they are hot."""
 
-    Attributes
-    ----------
-    share_per_k : float
-        Relative increase of the drives' power per kelvin.
-    from_c : float
-        Temperature above which it increases [degC].
-    """
-
-    share_per_k: float
-    from_c: float
+    share_per_k: float  # Relative increase of the drives' power per kelvin
+    from_c: float  # Temperature above which it increases [degC]
     name: ClassVar[str] = "learned:motor_temperature"
 
     def wheels_w(self, ride: Ride, wheels_w: FloatArray) -> FloatArray:

@@ -47,50 +47,23 @@ _DECIMALS = dict(zip(COLUMNS, (3, 3, 3, 3, 2, 3, 3, 2, 2, 2, 1, 1, 0, 1, 0, 1, 3
 
 @dataclass(frozen=True)
 class Logger:
-    """How accurately a robot is recorded. `Logger.perfect()` records the truth.
+    """How accurately a robot is recorded. `Logger.perfect()` records the truth."""
 
-    Attributes
-    ----------
-    rate_hz : float
-        Rows per second [Hz].
-    jitter_s : float
-        Standard deviation of the time between rows [s].
-    position_m, height_m : float
-        Noise of the RTK position, horizontal and vertical [m]; half of its variance is slow, over about 2 s.
-    voltage_v : float
-        Noise of the voltmeter [V].
-    current_share, current_a : float
-        Noise of the current meter, relative and absolute [A].
-    angle_deg : float
-        Noise of heading, roll and pitch [deg].
-    dropouts : float
-        Gaps of 0.3 to 2 s, per row.
-    repeats : float
-        Rows written twice, per row.
-    spikes : float
-        Wrong values of voltage or current, per row.
-    jumps : float
-        Single wrong positions, per row.
-    floats : float
-        Times of 2 to 8 s in which RTK is lost and the position is 0.2 to 0.8 m off, per row.
-    standing_s : float
-        How long the robot waits before it drives [s].
-    """
-
-    rate_hz: float = 10.0
-    jitter_s: float = 0.001
+    rate_hz: float = 10.0  # Rows per second [Hz]
+    jitter_s: float = 0.001  # Standard deviation of the time between rows [s]
+    # Noise of the RTK position, horizontal and vertical [m]; half of its variance is slow, over about 2 s
     position_m: float = 0.01
     height_m: float = 0.015
-    voltage_v: float = 0.03
-    current_share: float = 0.02
+    voltage_v: float = 0.03  # Noise of the voltmeter [V]
+    current_share: float = 0.02  # Noise of the current meter, relative and absolute [A]
     current_a: float = 0.02
-    angle_deg: float = 0.4
-    dropouts: float = 0.0006
-    repeats: float = 0.002
-    spikes: float = 0.001
-    jumps: float = 0.0004
-    floats: float = 0.00005
-    standing_s: float = 3.0
+    angle_deg: float = 0.4  # Noise of heading, roll and pitch [deg]
+    dropouts: float = 0.0006  # Gaps of 0.3 to 2 s, per row
+    repeats: float = 0.002  # Rows written twice, per row
+    spikes: float = 0.001  # Wrong values of voltage or current, per row
+    jumps: float = 0.0004  # Single wrong positions, per row
+    floats: float = 0.00005  # Times of 2 to 8 s in which RTK is lost and the position is 0.2 to 0.8 m off, per row
+    standing_s: float = 3.0  # How long the robot waits before it drives [s]
 
     @classmethod
     def perfect(cls) -> Logger:
@@ -100,18 +73,10 @@ class Logger:
 
 @dataclass(frozen=True)
 class RunLog:
-    """A log as recorded.
+    """A log as recorded."""
 
-    Attributes
-    ----------
-    columns : dict of str to ndarray of float64, (n,)
-        Columns by name, in the units of the run format; NaN means not recorded.
-    terrain : ndarray of str, (n,)
-        What the operator calls the ground.
-    """
-
-    columns: dict[str, FloatArray]
-    terrain: NDArray[np.str_]
+    columns: dict[str, FloatArray]  # (n,): Columns by name, in the units of the run format; NaN means not recorded
+    terrain: NDArray[np.str_]  # (n,): What the operator calls the ground
 
     def write_csv(self, path: str | Path) -> Path:
         """Write the log in the run format; a NaN becomes a blank."""

@@ -35,28 +35,14 @@ _EPS = 1e-12
 
 @dataclass(frozen=True)
 class Motion:
-    """What driving a path requires of the robot; every array has one entry per station.
+    """What driving a path requires of the robot; every array has one entry per station."""
 
-    Attributes
-    ----------
-    z : ndarray of float64, (n,)
-        Height of the body above the datum, at the level of the wheels' contact [m].
-    pitch_rad : ndarray of float64, (n,)
-        Pitch, > 0 nose up [rad].
-    roll_rad : ndarray of float64, (n,)
-        Roll, > 0 right side down [rad].
-    force_left_n, force_right_n : ndarray of float64, (n,)
-        Force of the wheels of each side [N].
-    loads_n : ndarray of float64, (n, 4)
-        Load of the wheels: front left, front right, rear left, rear right [N].
-    """
-
-    z: FloatArray
-    pitch_rad: FloatArray
-    roll_rad: FloatArray
-    force_left_n: FloatArray
+    z: FloatArray  # (n,): Height of the body above the datum, at the level of the wheels' contact [m]
+    pitch_rad: FloatArray  # (n,): Pitch, > 0 nose up [rad]
+    roll_rad: FloatArray  # (n,): Roll, > 0 right side down [rad]
+    force_left_n: FloatArray  # (n,): Force of the wheels of each side [N]
     force_right_n: FloatArray
-    loads_n: FloatArray
+    loads_n: FloatArray  # (n, 4): Load of the wheels: front left, front right, rear left, rear right [N]
 
 
 def move(

@@ -16,55 +16,23 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FieldRobot:
-    """The robot as it truly is: what the owner declares, and what nobody measured.
+    """The robot as it truly is: what the owner declares, and what nobody measured."""
 
-    Attributes
-    ----------
-    declared : Robot
-        What the owner's file says.
-    mass_kg : float
-        True mass [kg].
-    wheelbase_m, track_m : float
-        Distance between wheel centres, along and across [m].
-    wheel_width_m : float
-        Width of the contact of a wheel [m].
-    com_height_m : float
-        Height of the centre of mass above the ground [m].
-    twist_n_per_m : float
-        Load moved to a wheel per metre of twist [N/m].
-    friction_factor : float
-        True rolling loss of this robot's tyres over the ground's own.
-    gear_efficiency : float
-        Efficiency of the gears, 0 to 1.
-    drag_n : float
-        Constant friction of the drivetrain, both sides together, at the ground [N].
-    copper_w_per_n2 : float
-        Copper loss per squared force of a side [W/N2].
-    idle_w : float
-        Power of the electronics [W].
-    lateral_grip : float
-        Side force of the tyres per radian of slip and newton of load.
-    lag_m : float
-        Distance over which wheels, chassis and speed controller smooth the force [m].
-    regeneration : float
-        Share of the power pushed back that returns to the battery, 0 to 1.
-    """
-
-    declared: Robot
-    mass_kg: float
-    wheelbase_m: float
+    declared: Robot  # What the owner's file says
+    mass_kg: float  # True mass [kg]
+    wheelbase_m: float  # Distance between wheel centres, along and across [m]
     track_m: float
-    wheel_width_m: float
-    com_height_m: float
-    twist_n_per_m: float
-    friction_factor: float = 1.0
-    gear_efficiency: float = 0.8
-    drag_n: float = 4.0
-    copper_w_per_n2: float = 0.0008
-    idle_w: float = 12.0
-    lateral_grip: float = 5.0
-    lag_m: float = 0.12
-    regeneration: float = 0.0
+    wheel_width_m: float  # Width of the contact of a wheel [m]
+    com_height_m: float  # Height of the centre of mass above the ground [m]
+    twist_n_per_m: float  # Load moved to a wheel per metre of twist [N/m]
+    friction_factor: float = 1.0  # True rolling loss of this robot's tyres over the ground's own
+    gear_efficiency: float = 0.8  # Efficiency of the gears, 0 to 1
+    drag_n: float = 4.0  # Constant friction of the drivetrain, both sides together, at the ground [N]
+    copper_w_per_n2: float = 0.0008  # Copper loss per squared force of a side [W/N2]
+    idle_w: float = 12.0  # Power of the electronics [W]
+    lateral_grip: float = 5.0  # Side force of the tyres per radian of slip and newton of load
+    lag_m: float = 0.12  # Distance over which wheels, chassis and speed controller smooth the force [m]
+    regeneration: float = 0.0  # Share of the power pushed back that returns to the battery, 0 to 1
 
     def __post_init__(self) -> None:
         for key in ("mass_kg", "wheelbase_m", "track_m", "lateral_grip", "gear_efficiency"):
@@ -163,46 +131,22 @@ class FieldRobot:
 
 @dataclass(frozen=True)
 class Ground:
-    """What the ground is made of.
+    """What the ground is made of."""
 
-    Attributes
-    ----------
-    name : str
-        What the operator calls it.
-    mu : float
-        Rolling loss over load, at a quarter of the robot's weight per wheel.
-    load_exponent : float
-        How much faster than the load the loss grows.
-    bump_loss : float
-        Share of the lifted energy that a wheel loses when it climbs relative to the chassis and drops again.
-    bump_speed_mps : float
-        Speed at which that loss has doubled [m/s].
-    scrub : float
-        Side friction of the tyres in turns.
-    tpi_share : float
-        Rolling loss added where the ground is lower than around it (softer and wetter), per 0.1 m of negative
-        topographic position index.
-    patchiness : float
-        Spread of mu from place to place, over about 6 m, that does not follow from any height.
-    spread : float
-        Multiplicative spread of the power at the wheels that does not follow from anything known.
-    spread_length_m : float
-        Correlation length of that spread [m].
-    tussock_m : float
-        Root mean square of the relief that is finer than a survey measures [m].
-    """
-
-    name: str = "grass"
-    mu: float = 0.065
-    load_exponent: float = 0.25
+    name: str = "grass"  # What the operator calls it
+    mu: float = 0.065  # Rolling loss over load, at a quarter of the robot's weight per wheel
+    load_exponent: float = 0.25  # How much faster than the load the loss grows
+    # Share of the lifted energy that a wheel loses when it climbs relative to the chassis and drops again
     bump_loss: float = 0.9
-    bump_speed_mps: float = 1.0
-    scrub: float = 0.12
+    bump_speed_mps: float = 1.0  # Speed at which that loss has doubled [m/s]
+    scrub: float = 0.12  # Side friction of the tyres in turns
+    # Rolling loss added where the ground is lower than around it (softer and wetter), per 0.1 m of negative
+    # topographic position index
     tpi_share: float = 0.30
-    patchiness: float = 0.02
-    spread: float = 0.12
-    spread_length_m: float = 1.0
-    tussock_m: float = 0.006
+    patchiness: float = 0.02  # Spread of mu from place to place, over about 6 m, that does not follow from any height
+    spread: float = 0.12  # Multiplicative spread of the power at the wheels that does not follow from anything known
+    spread_length_m: float = 1.0  # Correlation length of that spread [m]
+    tussock_m: float = 0.006  # Root mean square of the relief that is finer than a survey measures [m]
 
     def kernel_parameters(self) -> FloatArray:
         """Return the numbers that the compiled kernels read, in their order, (6,)."""

@@ -26,46 +26,20 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trace:
-    """What truly happened, one entry per station.
+    """What truly happened, one entry per station."""
 
-    Attributes
-    ----------
-    t : ndarray of float64, (n,)
-        Time since the start [s].
-    x, y : ndarray of float64, (n,)
-        World positions [m].
-    z : ndarray of float64, (n,)
-        Height of the ground under the body [m].
-    heading_rad : ndarray of float64, (n,)
-        Headings [rad].
-    speed_mps : ndarray of float64, (n,)
-        Speeds [m/s].
-    pitch_rad : ndarray of float64, (n,)
-        Pitch, > 0 nose up [rad].
-    roll_rad : ndarray of float64, (n,)
-        Roll, > 0 right side down [rad].
-    power_w : ndarray of float64, (n,)
-        Power at the battery [W].
-    explained_w : ndarray of float64, (n,)
-        The same without the spread that does not follow from any height [W].
-    wheels_w : ndarray of float64, (n,)
-        The part of `power_w` that both drives take [W].
-    standing_w : float
-        Power during a halt [W].
-    """
-
-    t: FloatArray
-    x: FloatArray
+    t: FloatArray  # (n,): Time since the start [s]
+    x: FloatArray  # (n,): World positions [m]
     y: FloatArray
-    z: FloatArray
-    heading_rad: FloatArray
-    speed_mps: FloatArray
-    pitch_rad: FloatArray
-    roll_rad: FloatArray
-    power_w: FloatArray
-    explained_w: FloatArray
-    wheels_w: FloatArray
-    standing_w: float
+    z: FloatArray  # (n,): Height of the ground under the body [m]
+    heading_rad: FloatArray  # (n,): Headings [rad]
+    speed_mps: FloatArray  # (n,): Speeds [m/s]
+    pitch_rad: FloatArray  # (n,): Pitch, > 0 nose up [rad]
+    roll_rad: FloatArray  # (n,): Roll, > 0 right side down [rad]
+    power_w: FloatArray  # (n,): Power at the battery [W]
+    explained_w: FloatArray  # (n,): The same without the spread that does not follow from any height [W]
+    wheels_w: FloatArray  # (n,): The part of `power_w` that both drives take [W]
+    standing_w: float  # Power during a halt [W]
 
     def energy_j(self, power_w: FloatArray | None = None) -> FloatArray:
         """Return the energy since the start; the power of a station holds over the step that ends there.
@@ -78,34 +52,16 @@ class Trace:
 
 @dataclass(frozen=True)
 class TrueSegments:
-    """Consecutive segments of 1 m of a trace, without any error of measurement.
+    """Consecutive segments of 1 m of a trace, without any error of measurement."""
 
-    Attributes
-    ----------
-    x, y : ndarray of float64, (n,)
-        World position of the centre [m].
-    heading_rad : ndarray of float64, (n,)
-        Heading from p to q [rad].
-    energy_j : ndarray of float64, (n,)
-        Energy drawn from the battery [J].
-    explained_j : ndarray of float64, (n,)
-        The same without the spread that does not follow from any height [J].
-    duration_s : ndarray of float64, (n,)
-        Duration [s].
-    driven_m : ndarray of float64, (n,)
-        Horizontal length of the path [m].
-    heading_change_rad : ndarray of float64, (n,)
-        Net turn, > 0 to the right [rad].
-    """
-
-    x: FloatArray
+    x: FloatArray  # (n,): World position of the centre [m]
     y: FloatArray
-    heading_rad: FloatArray
-    energy_j: FloatArray
-    explained_j: FloatArray
-    duration_s: FloatArray
-    driven_m: FloatArray
-    heading_change_rad: FloatArray
+    heading_rad: FloatArray  # (n,): Heading from p to q [rad]
+    energy_j: FloatArray  # (n,): Energy drawn from the battery [J]
+    explained_j: FloatArray  # (n,): The same without the spread that does not follow from any height [J]
+    duration_s: FloatArray  # (n,): Duration [s]
+    driven_m: FloatArray  # (n,): Horizontal length of the path [m]
+    heading_change_rad: FloatArray  # (n,): Net turn, > 0 to the right [rad]
 
     def __len__(self) -> int:
         return int(self.x.size)

@@ -38,36 +38,17 @@ GROUNDS: Mapping[str, Ground] = {
 
 @dataclass(frozen=True)
 class Site:
-    """A place to drive.
+    """A place to drive."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the site.
-    terrain : Heightmap
-        The true terrain, on cells of 5 cm.
-    survey : Heightmap
-        The heightmap that a model is given.
-    ground : Ground
-        What it is made of.
-    mu_factor : Heightmap
-        Factor on the ground's rolling loss from place to place.
-    mu_factor_explained : Heightmap
-        The part of that factor which follows from the terrain, by its topographic position index.
-    words : tuple of str
-        What the operator calls the ground where `word_map` is below and above one half.
-    word_map : Heightmap or None
-        Without it the whole site is called by the ground's name.
-    """
-
-    name: str
-    terrain: Heightmap
-    survey: Heightmap
-    ground: Ground
-    mu_factor: Heightmap
+    name: str  # Name of the site
+    terrain: Heightmap  # The true terrain, on cells of 5 cm
+    survey: Heightmap  # The heightmap that a model is given
+    ground: Ground  # What it is made of
+    mu_factor: Heightmap  # Factor on the ground's rolling loss from place to place
+    # The part of that factor which follows from the terrain, by its topographic position index
     mu_factor_explained: Heightmap
-    words: tuple[str, str] = ("", "")
-    word_map: Heightmap | None = None
+    words: tuple[str, str] = ("", "")  # What the operator calls the ground where `word_map` is below and above one half
+    word_map: Heightmap | None = None  # Without it the whole site is called by the ground's name
 
     @property
     def drivable(self) -> tuple[float, float, float, float]:
@@ -100,32 +81,21 @@ class Site:
 
 @dataclass(frozen=True)
 class Relief:
-    """Shape of a terrain.
+    """Shape of a terrain."""
 
-    Attributes
-    ----------
-    hills : TerrainRecipe
-        The large shape.
-    rough_m : float
-        Root mean square height of waves of 0.1 to 1.2 m [m].
-    tussocks_per_m2, tussock_m : float
-        Number per square metre and mean height [m] of bumps of about 0.15 m radius.
-    unevenness : float
-        Standard deviation of the logarithm of roughness and tussocks from place to place, over 5 to 25 m; real ground
-        is never equally rough everywhere.
-    """
-
-    hills: TerrainRecipe = _PARK
-    rough_m: float = 0.010
-    tussocks_per_m2: float = 2.0
+    hills: TerrainRecipe = _PARK  # The large shape
+    rough_m: float = 0.010  # Root mean square height of waves of 0.1 to 1.2 m [m]
+    tussocks_per_m2: float = 2.0  # Number per square metre and mean height [m] of bumps of about 0.15 m radius
     tussock_m: float = 0.07
+    # Standard deviation of the logarithm of roughness and tussocks from place to place, over 5 to 25 m; real ground
+    # is never equally rough everywhere
     unevenness: float = 1.2
 
 
 _GRASS = Relief()
 _GRASS_B = Relief(replace(_PARK, relief_shortest_m=6.0), 0.012, 1.6, 0.06, 1.1)
 _DIRT = Relief(replace(_PARK, roughness_rms_m=0.025), 0.018, 0.4, 0.06, 0.8)
-_NAMED: Mapping[str, tuple[Relief, str]] = {
+SITES: Mapping[str, tuple[Relief, str]] = {
     "grass_a": (_GRASS, "grass"),
     "grass_b": (_GRASS_B, "grass"),
     "dirt": (_DIRT, "dirt"),
@@ -154,9 +124,9 @@ def named_site(name: str, *, seed: int = 0, width_m: float = 60.0, height_m: flo
 
     `width_m`, `height_m`: size of the site, east and north [m]. Raises NotFoundError for another name.
     """
-    if name not in _NAMED:
-        raise NotFoundError(f"there is no simulated site {name!r}; known are {', '.join(_NAMED)}", name=name)
-    relief, kind = _NAMED[name]
+    if name not in SITES:
+        raise NotFoundError(f"there is no simulated site {name!r}; known are {', '.join(SITES)}", name=name)
+    relief, kind = SITES[name]
     ground = _another_meadow(GROUNDS[kind], seed) if name == "grass_b" else GROUNDS[kind]
     rng = np.random.default_rng([seed, *name.encode()])
     frame = GridFrame(500000.0, 4980000.0, TRUE_RESOLUTION_M, _cells(height_m), _cells(width_m), "EPSG:32615")

@@ -20,6 +20,8 @@ from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.residuals import Residuals
 
 _EXPENSIVE = 0.95  # quantile of the energies of rows
+_CHEAP = 0.05  # of the usual energy of a metre: what costs less, or gives back, varies as much
+_ROUNDS = 3
 _STEP = 1e-3  # of a shift or a lag, for its derivative
 _DIRECTED = frozenset({"heading", "wind_speed", "wind_from"})  # say something even where they are constant
 
@@ -38,11 +40,6 @@ class Candidate:
     def both(self) -> IntArray:
         """All its columns."""
         return np.append(self.tested, self.beside)
-
-    @property
-    def complexity(self) -> tuple[bool, int]:
-        """Whether it has no formula, and its number of coefficients: the order of simplicity."""
-        return isinstance(self.form, UNNAMED), len(self.tested) + self.form.tuned
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,33 +189,61 @@ def _coverage(
     return _covered
 
 
-def fit_model(
-    design: Design, chosen: Sequence[Candidate], start: Variation | None = None, *, robust: bool = True
-) -> MixedModel:
-    """Fit the variation around a choice of effects: all columns under it.
+def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | None = None) -> MixedModel:
+    """Fit the variation around a choice of effects: all columns under it, for tests.
 
-    start : the variation around another choice, from which the fit starts. robust : with Huber's weights. They make
-    tests powerful, and they pull a mean to the median of skewed errors: coefficients are estimated without them.
+    start : the variation around another choice, from which the fit starts.
     """
-    residuals, index = design.residuals, design.index(chosen)
+    residuals, index, energy = design.residuals, design.index(chosen), np.zeros(len(design.new))
     x, said = design.columns[:, index], residuals.said
     z = residuals.measured - said - design.beyond
     usual = np.maximum(said, max(float(np.median(np.abs(residuals.measured))), 1e-12))
     variation = start or Variation(residuals.run, residuals.moving, usual, np.ones(len(z)))
-    known = np.zeros(len(z)) if residuals.charge else residuals.features.predicted  # by what base parameters correct
-    level = known + (0.0 if design.first is None else design.columns[:, design.fixed] @ design.first[design.fixed])
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
-        worth = _prior_rows(design, variation)[index]
-        model = MixedModel(variation, x, z, level, residuals.unit, worth, whole_runs=residuals.whole_runs)
-        energy = x @ model.coefficients(np.arange(len(index)), design.low[index], design.high[index])
+        energy = x @ _mean_of(design, index, variation, energy)
         grown = np.where(residuals.moving, energy, np.maximum(energy, 0.0))  # a stop varies as if declared, or more
         variation = fit_variation(variation, said + grown, z - energy, x)
-        if design.first is None:
-            level = known + energy
-    if not robust:
-        variation = replace(variation, weight=np.ones_like(variation.weight))
-    worth = _prior_rows(design, variation)
-    return MixedModel(variation, design.columns, z, level, residuals.unit, worth, whole_runs=residuals.whole_runs)
+    return _under(design, variation, energy)
+
+
+def mean_model(design: Design, chosen: Sequence[Candidate], start: Variation) -> MixedModel:
+    """All columns under a variance in proportion to the energy, for estimates of the mean.
+
+    Whatever the variance is, such a fit makes the sums of what is predicted and measured agree (quasi-likelihood of
+    Poisson's variance: McCullagh & Nelder 1989, section 9.2; Santos Silva & Tenreyro 2006). A standard deviation in
+    proportion to the energy, which tests have, lets the cheap metres decide where no law fits all of them; weights of
+    outliers pull a mean to the median.
+
+    start : the variation around the choice, for tests.
+    """
+    residuals, index = design.residuals, design.index(chosen)
+    variation = fit_model(design, chosen, start).variation
+    size = float(np.linalg.norm(variation.scale[residuals.moving]))
+    usual = float(np.median(np.abs(residuals.measured[residuals.moving])))
+    for _ in range(_ROUNDS):  # the variance follows the mean, and the mean the variance
+        energy = residuals.said + design.columns[:, index] @ _mean_of(design, index, variation)
+        scale = np.sqrt(np.maximum(np.abs(energy), _CHEAP * usual))
+        scale *= size / float(np.linalg.norm(scale[residuals.moving]))
+        variation = replace(variation, scale=scale, weight=np.ones_like(scale))
+    return _under(design, variation)
+
+
+def _mean_of(design: Design, index: IntArray, variation: Variation, energy: FloatArray | float = 0.0) -> FloatArray:
+    """Coefficients of some columns, (q,), within their limits."""
+    model = _under(design, variation, energy, index)
+    return model.coefficients(np.arange(len(index)), design.low[index], design.high[index])
+
+
+def _under(
+    design: Design, variation: Variation, energy: FloatArray | float = 0.0, index: IntArray | slice = np.s_[:]
+) -> MixedModel:
+    """All columns, or some, under a variation. energy : of base parameters, (n,), where the design has none."""
+    residuals, first = design.residuals, design.first
+    known = np.zeros(len(residuals)) if residuals.charge else residuals.features.predicted  # what base parameters move
+    level = known + (energy if first is None else design.columns[:, design.fixed] @ first[design.fixed])
+    z, worth = residuals.measured - residuals.said - design.beyond, _prior_rows(design, variation)
+    columns = design.columns[:, index]
+    return MixedModel(variation, columns, z, level, residuals.unit, worth[index], whole_runs=residuals.whole_runs)
 
 
 def _prior_rows(design: Design, variation: Variation) -> FloatArray:

@@ -101,7 +101,6 @@ class MixedModel:
         self._h = np.stack([every[part, -2] @ every[part] for part in parts])  # (U, k + 2), levels with columns
         self._gamma = np.maximum(self._h[:, -2], 1e-12)
         self._energies, self._parts = energies, parts
-        self._products: FloatArray | None = None  # (U, k + 2, k + 2)
         carried = 2.0 * variation.serial_share * every[:, -2:-1] * variation.carried(every[:, -2:-1])
         more = np.bincount(unit, weights=carried[:, 0], minlength=self.units)
         self._level_variance = (self._gamma + more) / self._gamma**2  # of the units' levels, for noise of variance 1
@@ -118,10 +117,10 @@ class MixedModel:
         rows, squares = self._without_levels(white), np.einsum("ij,ij->j", white, white)
         return rows, squares, rows.T @ rows
 
-    def prepared(self) -> MixedModel:
-        """The same with the cross products of all columns, which many choices of columns are worth."""
-        self._products = np.stack([self.rows[part].T @ self.rows[part] for part in self._parts])
-        return self
+    @cached_property
+    def _products(self) -> FloatArray:
+        """Cross products of the rows of every unit, (units, k + 2, k + 2)."""
+        return np.stack([self.rows[part].T @ self.rows[part] for part in self._parts])
 
     @cached_property
     def _inner(self) -> FloatArray:
@@ -208,10 +207,7 @@ class MixedModel:
 
     def _by_unit(self, chosen: IntArray) -> _ByUnit:
         index = np.append(chosen, -1)
-        if self._products is not None:
-            return _ByUnit(self._products[:, index[:, None], index], self._h[:, index], self._gamma)
-        rows = self.rows[:, index]
-        return _ByUnit(np.stack([rows[part].T @ rows[part] for part in self._parts]), self._h[:, index], self._gamma)
+        return _ByUnit(self._products[:, index[:, None], index], self._h[:, index], self._gamma)
 
     def _inside(self, index: IntArray) -> FloatArray:
         """The same of some columns."""

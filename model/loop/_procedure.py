@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from joulemap.model.loop._base_step import base_step
 from joulemap.model.loop._design import make_design
+from joulemap.model.loop._proposal import simple_models
 from joulemap.model.loop._selection import Selection, select
-from joulemap.model.loop._stacking import simple_models
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms import UNNAMED
 from joulemap.model.loop.forms._base_parameters import MEASURED_SLOPE

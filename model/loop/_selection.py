@@ -1,6 +1,6 @@
 """Which effects the runs show: forward selection by left-out runs, each candidate with a p-value of its own.
 
-Steps 4 to 8 and 10 of docs/explanation/calibration.md, and Hastie, Tibshirani & Friedman 2009, sections 3.3.2 (forward
+Steps 4 to 7 and 10 of docs/explanation/calibration.md, and Hastie, Tibshirani & Friedman 2009, sections 3.3.2 (forward
 stepwise selection) and 7.10 (one-standard-error rule).
 """
 
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulemap.model.loop._design import Candidate, Design, fit_model
+from joulemap.model.loop._design import Candidate, Design, fit_model, mean_model
 from joulemap.model.loop._mixed_model import Estimate, IntArray, MixedModel
 from joulemap.model.loop.forms import UNNAMED
 from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters, with_forces
@@ -41,6 +41,9 @@ class Verdict(NamedTuple):
     gains: FloatArray  # (units,), the reduction by unit
     between: bool  # whether the levels of runs show it more clearly than their course
     why_not: str = ""  # why it cannot be taken; empty where it can
+
+
+_UNASKED = Verdict(1.0, 0.0, np.zeros(0), False, "not asked")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,7 @@ class Selection:
         without : base parameters that are not fitted.
         """
         design = replace(self.design, without=without)
-        model = fit_model(design, kept, self.model.variation, robust=False)
+        model = mean_model(design, kept, self.model.variation)
         index = design.index(kept)
         classes = [c.tested for c in kept if c.form.pooled]
         if classes:
@@ -148,22 +151,20 @@ def select(design: Design, *, with_unnamed: bool = True, progress: Callable[[flo
     chosen: list[Candidate] = []
     between: dict[str, bool] = {}
     seen: set[frozenset[int]] = set()
-    model = fit_model(design, _largest(design)).prepared()
-    unasked = Verdict(1.0, 0.0, np.zeros(model.units), False, "not asked")
-
-    def _judge_all(*, unnamed: bool) -> list[Verdict]:
-        asked = [c for c in design.candidates if unnamed or not isinstance(c.form, UNNAMED)]
-        found = iter(_judge(asked))
-        return [next(found) if unnamed or not isinstance(c.form, UNNAMED) else unasked for c in design.candidates]
+    model = fit_model(design, _largest(design))
 
     def _judge(candidates: Sequence[Candidate]) -> list[Verdict]:
         return [_verdict(design, model, c, [o for o in chosen if o is not c], between) for c in candidates]
+
+    def _judge_all(*, unnamed: bool) -> list[Verdict]:
+        asked = [unnamed or not isinstance(c.form, UNNAMED) for c in design.candidates]
+        return [_judge([c])[0] if ask else _UNASKED for c, ask in zip(design.candidates, asked, strict=True)]
 
     alone = verdicts = _judge_all(unnamed=with_unnamed)
     for unnamed in (False, True)[: 1 + with_unnamed]:  # what has no name is asked what remains
         if unnamed and chosen:
             verdicts = _judge_all(unnamed=True)
-        while len(chosen) < MOST_EFFECTS and (best := _simplest(design, verdicts, chosen, unnamed=unnamed)) is not None:
+        while len(chosen) < MOST_EFFECTS and (best := _best(design, verdicts, chosen, unnamed=unnamed)) is not None:
             taken = design.candidates[best]
             at = next((k for k, c in enumerate(chosen) if c.form.name == taken.form.name), len(chosen))
             parts = _missing_parts(design, taken, chosen)
@@ -261,17 +262,8 @@ def _physical(design: Design, model: MixedModel, candidate: Candidate, beside: I
     return bool(np.all((free >= low) & (free <= high)))
 
 
-def _simplest(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Candidate], *, unnamed: bool) -> int | None:
-    """The simplest candidate whose gain is within one standard error of the largest."""
+def _best(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Candidate], *, unnamed: bool) -> int | None:
+    """The candidate of the largest gain that is not chosen yet."""
     asked = [k for k, c in enumerate(design.candidates) if unnamed or not isinstance(c.form, UNNAMED)]
     able = [k for k in asked if not verdicts[k].why_not and not any(design.candidates[k] is c for c in chosen)]
-    if not able:
-        return None
-    top = verdicts[max(able, key=lambda k: verdicts[k].gain)]
-    close = [k for k in able if within_one_error(top.gains - verdicts[k].gains)]
-
-    def _complexity(k: int) -> tuple[bool, int]:
-        unnamed, count = design.candidates[k].complexity
-        return unnamed, count + sum(c.complexity[1] for c in _missing_parts(design, design.candidates[k], chosen))
-
-    return min(close, key=lambda k: (_complexity(k), -verdicts[k].gain))
+    return max(able, key=lambda k: verdicts[k].gain, default=None)

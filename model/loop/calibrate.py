@@ -13,67 +13,46 @@ from threadpoolctl import threadpool_limits
 from joulemap.model.energy.mean_level import MeanLevel, mean_level
 from joulemap.model.energy.metrics import errors_of
 from joulemap.model.loop._procedure import Fitted, fit
-from joulemap.model.loop._selection import within_one_error
-from joulemap.model.loop._stacking import stacked
-from joulemap.model.loop.mixture import CALIBRATED, Mixture, mean_of
+from joulemap.model.loop._proposal import CALIBRATED, proposed
+from joulemap.model.loop._selection import LEAST_GAIN, within_one_error
 from joulemap.model.loop.terms import Effect
 from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.refused_columns import refused_columns
 from joulemap.model.runs.residuals import Residuals, joined
 
+__all__ = ["CALIBRATED", "Calibration", "Effect", "calibrate"]
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The result of a calibration.
+    """The result of a calibration."""
 
-    Attributes
-    ----------
-    fitted : Fitted
-        From all runs.
-    residuals : Residuals
-        Of the new runs.
-    baseline : Residuals, optional
-        Of the baseline runs.
-    errors : dict of str to dict
-        By state: `before`, `corrected` (with the base parameters), `after`, `after_planner`, `constant`,
-        `least_squares`, and `proposed`. Each prediction is of a procedure that had no part of the run.
-    held_out : dict of str to ndarray of float, (n,)
-        The predictions themselves.
-    shares : dict of str to float
-        Of each prediction in what plans use, see `joulemap.model.loop.mixture`. For `proposed` they are found without
-        the run.
-    levels : dict of str to MeanLevel
-        Of `after` and of `proposed`: how far sums were off on left-out runs, and what they are multiplied by.
-    refused : dict of str to str
-        Logged columns that no effect may depend on, and why.
-    folds : int
-        How often the whole procedure was repeated.
-    test_errors : dict of str to dict, optional
-        As `errors`, on the test runs.
-    """
-
-    fitted: Fitted
-    residuals: Residuals
-    baseline: Residuals | None
+    fitted: Fitted  # From all runs
+    residuals: Residuals  # Of the new runs
+    baseline: Residuals | None  # Of the baseline runs
+    # By state: `before`, `corrected` (with the base parameters), `after`, `after_planner`, `constant`, `least_squares`,
+    # and `proposed`. Each prediction is of a procedure that had no part of the run
     errors: dict[str, dict[str, Any]]
-    held_out: dict[str, FloatArray] = field(repr=False)
-    refused: dict[str, str]
-    folds: int
-    shares: dict[str, float]
+    held_out: dict[str, FloatArray] = field(repr=False)  # (n,): The predictions themselves
+    refused: dict[str, str]  # Logged columns that no effect may depend on, and why
+    folds: int  # How often the whole procedure was repeated
+    proposal: str  # Which of the predictions plans use. For `proposed` it is chosen without the run
+    # Of `after` and of `proposed`: how far sums were off on left-out runs, and what they are multiplied by
     levels: dict[str, MeanLevel]
-    test_errors: dict[str, dict[str, Any]] | None = None
+    test_errors: dict[str, dict[str, Any]] | None = None  # As `errors`, on the test runs
 
     def confirmed(self, state: str = "after") -> bool | None:
         """Return whether left-out and test runs are predicted better than before; if not, nobody should change models.
 
-        Result: by the root mean square error, which is less by more than one standard error on left-out runs; None
-        where every run had a part in the calibration.
+        Result: by the squared error, which is less by more than one standard error on left-out runs, and by enough to
+        matter there, as of an effect; None where every run had a part in the calibration.
         """
         judged = [errors for errors in (self.errors, self.test_errors) if errors is not None]
         better = all(errors[state]["rmse"] < errors["before"]["rmse"] for errors in judged)
         before, after = (_squares(self.residuals, self.held_out[key]) for key in ("before", state))
         gains = np.bincount(self.residuals.unit, weights=before - after).astype(np.float64)
-        better = better and not (self.folds and within_one_error(gains))
+        if self.folds:
+            better = better and not within_one_error(gains) and bool(gains.sum() >= LEAST_GAIN * before.sum())
         return None if better and not self.folds and self.test_errors is None else better
 
     @property
@@ -86,14 +65,6 @@ class Calibration:
         """The effects that were found, those that explain most first."""
         return self.fitted.effects
 
-    @property
-    def mixture(self) -> Mixture | None:
-        """What plans use; None where that is the calibrated model."""
-        if set(self.shares) == {CALIBRATED}:
-            return None
-        simple = {name: term for name, term in self.fitted.simple.items() if name in self.shares}
-        return Mixture(self.shares, simple, self.fitted.scale)
-
     def errors_on(self, others: Residuals, *, elsewhere: bool = False) -> dict[str, Any]:
         """Return the errors on other runs of the same meter, which had no part in this calibration."""
         return {key: errors_of(others, energy) for key, energy in self.states(others, elsewhere=elsewhere).items()}
@@ -102,7 +73,7 @@ class Calibration:
         """Return the predictions for other runs, by state. The result is (n,)."""
         states = self.fitted.states(others, elsewhere=elsewhere)
         states["after"] = self.levels["after"].factor * states["after"]
-        states["proposed"] = self.levels["proposed"].factor * mean_of(self.shares, states)
+        states["proposed"] = self.levels["proposed"].factor * states[self.proposal]
         return states
 
 
@@ -140,14 +111,12 @@ def calibrate(
             kept, left_out = rows.take(fold != k), rows.take(fold == k)
             for key, energy in fit(kept, new[fold != k]).states(left_out).items():
                 held[key][own_fold == k] = energy
-    shares, held["proposed"] = {CALIBRATED: 1.0}, held[CALIBRATED]
-    if count:
-        shares, held["proposed"] = stacked(measured, held, own_fold)
+    proposal, held["proposed"] = proposed(measured, held, own_fold) if count else (CALIBRATED, held[CALIBRATED])
     levels = dict.fromkeys(("after", "proposed"), MeanLevel())
     for key in levels if count else ():  # sums of the runs that were fitted to agree
         levels[key], held[key] = _levelled(measured, held[key], own_fold)
     errors = {key: errors_of(measured, energy) for key, energy in held.items()}
-    found = Calibration(fitted, measured, base, errors, held, refused, count, shares, levels)
+    found = Calibration(fitted, measured, base, errors, held, refused, count, proposal, levels)
     return found if test is None else replace(found, test_errors=found.errors_on(test))
 
 
@@ -162,7 +131,7 @@ def _levelled(measured: Residuals, said: FloatArray, fold: NDArray[np.int64]) ->
     """
 
     def _level(some: NDArray[np.bool_]) -> MeanLevel:
-        return mean_level(measured.measured[some], said[some], measured.unit[some])
+        return mean_level(measured.measured[some], said[some], fold[some])
 
     level, out = _level(measured.moving), said.copy()
     for k in range(int(fold.max()) + 1 if level.factor != 1.0 else 0):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,64 +12,35 @@ from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters, with_forces
 from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.loop.forms.terrain_class import TerrainClass
-from joulemap.model.loop.mixture import Mixture
 from joulemap.model.loop.terms import Term, energy_of
 from joulemap.model.runs.features import Drives, Features, FloatArray, quantity, share_beyond
 
 
 @dataclass(frozen=True)
 class Correction:
-    """What a calibration adds to a base model.
+    """What a calibration adds to a base model."""
 
-    Attributes
-    ----------
-    terms : tuple of Term
-        Base parameters and effects, for measured runs.
-    planner_terms : tuple of Term
-        The same without what is not known before a drive, fitted for themselves.
-    ranges : mapping
-        Lowest and highest value of every quantity in the runs. Beyond, the border's value holds, but for a law.
-    drives : Drives
-        As fitted. Plans are made at the speed at which motors take what a battery gives.
-    first_base : Term, optional
-        The base parameters before any effect, which forms take for the energy of motion.
-    charge : bool
-        Whether the scale of the base prediction is unknown, so that the terms replace it.
-    turn_j_per_rad : float
-        Cost of turning in plans [J/rad], in addition to the robot's own.
-    turn_by_kind : mapping
-        What is added to that on a kind of ground [J/rad], by name.
-    conditions : mapping
-        Logged columns at which plans are made unless others are given: their means on the runs.
-    evidence : sequence of mapping
-        The report's effects, JSON-able.
-    spread : Spread, optional
-        Error of the calibrated model on left-out runs. Its factor is that on `std_of_segments`.
-    scale, planner_scale : float
-        By which the energy of measured runs, and of plans, is multiplied so that sums of left-out runs agree.
-    mixture : Mixture, optional
-        Of the terms of plans, the base model and simple models, in plans; without it the terms of plans are all.
-    reliability : mapping, optional
-        Of the spread, as `Reliability.as_dict`.
-    drive_prior : mapping, optional
-        What is known of a run before it is driven, as `DrivePrior.as_dict`.
-    """
-
-    terms: tuple[Term, ...]
-    planner_terms: tuple[Term, ...]
+    terms: tuple[Term, ...]  # Base parameters and effects, for measured runs
+    planner_terms: tuple[Term, ...]  # The same without what is not known before a drive, fitted for themselves
+    # Lowest and highest value of every quantity in the runs. Beyond, the border's value holds, but for a law
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # As fitted. Plans are made at the speed at which motors take what a battery gives
     drives: Drives = field(default_factory=Drives)
-    first_base: Term | None = None
-    charge: bool = False
-    turn_j_per_rad: float = 0.0
+    first_base: Term | None = None  # The base parameters before any effect, which forms take for the energy of motion
+    charge: bool = False  # Whether the scale of the base prediction is unknown, so that the terms replace it
+    turn_j_per_rad: float = 0.0  # Cost of turning in plans [J/rad], in addition to the robot's own
+    # Logged columns at which plans are made unless others are given: their means on the runs
     conditions: Mapping[str, float] = field(default_factory=dict)
-    evidence: Sequence[Mapping[str, Any]] = ()
-    spread: Spread | None = None
+    evidence: Sequence[Mapping[str, Any]] = ()  # The report's effects, JSON-able
+    spread: Spread | None = None  # Errors on left-out runs. Its factor is that on `std_of_segments`
+    # By which the energy of measured runs, and of plans, is multiplied so that sums of left-out runs agree
     scale: float = 1.0
     planner_scale: float = 1.0
-    mixture: Mixture | None = None
-    reliability: Mapping[str, Any] | None = None
-    drive_prior: Mapping[str, Any] | None = None
+    # Whether the terms of plans take the place of the base model; without any, plans use the model before
+    alone: bool = False
+    reliability: Mapping[str, Any] | None = None  # Of the spread, as `Reliability.as_dict`
+    drive_prior: Mapping[str, Any] | None = None  # What is known of a run before it is driven, as `DrivePrior.as_dict`
+    # What is added to the cost of turning on a kind of ground [J/rad], by name
     turn_by_kind: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -81,7 +52,7 @@ class Correction:
     def only_in_logs(self) -> list[str]:
         """Titles of the effects that no plan contains, because only a log records what they depend on."""
         planned = {t.form.name for t in self.planner_terms}
-        if self.mixture is not None and not self.mixture.of_calibrated:
+        if self.alone:
             return []
         return [t.form.title for t in self.terms if t.form.name not in planned and t.form.on_map]
 
@@ -93,12 +64,15 @@ class Correction:
         """
         first = self.first_base
         level = first is not None and isinstance(first.form, BaseParameters) and first.form.level
-        if not planned:
-            return self._by_terms(self.terms, rows, level)
-        if self.mixture is None:
-            return self._by_terms(self.planner_terms, rows, level)
-        own = self._by_terms(self.planner_terms, rows, level) if self.mixture.of_calibrated else np.zeros(len(rows))
-        return self.mixture.added(own, rows, level=level, ranges=self.ranges)
+        if not (planned and self.alone):
+            return self._by_terms(self.planner_terms if planned else self.terms, rows, level)
+        plain = replace(rows, drives=Drives())
+        total = plain.predicted
+        if self.planner_terms:  # of slopes that no run has shown, the base model knows what they cost
+            flat = plain.tilted(-plain.grade) if level else plain
+            held = flat.within({name: ends for name, ends in self.ranges.items() if name == "speed"})
+            total = energy_of(self.planner_terms, held) + plain.predicted - flat.predicted
+        return total if self.charge else total - rows.predicted
 
     def _by_terms(self, terms: Sequence[Term], rows: Features, level: bool) -> FloatArray:
         first = self.first_base

@@ -4,12 +4,14 @@ A prior of few numbers that maximises the predictive likelihood of what is asked
 of these runs, the energy of its rest. So its scores are those of sums over long distances, as in `route_errors`, and
 errors that the model of metres does not know count as they matter.
 
-Reference: Gneiting & Raftery 2007, "Strictly proper scoring rules, prediction, and estimation" (the logarithmic score).
+References: Gneiting & Raftery 2007, "Strictly proper scoring rules, prediction, and estimation" (logarithmic score).
+Vovk, Gammerman & Shafer 2005, "Algorithmic Learning in a Random World" (conformal prediction).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +31,7 @@ PASSING_M = 20.0
 `route_errors.STRETCHES` [m]."""
 UNKNOWN = Spread(run_share=0.5)
 """Assumed where a model has seen no runs: the error of a whole route of `energy_distribution.UNSEEN_SHARE`."""
-UNFITTED = {"causes": 5.6, "passing": 0.54, "passing_m": 0.73, "noise": 1.65, "width": 1.09, "change_std": 1.5}
+UNFITTED = {"causes": 5.6, "passing": 0.54, "passing_m": 0.73, "noise": 1.65, "width": 1.09, "change_std": 1.66}
 """Factors on the prior of a spread where no runs were fitted. Source: `python -m tests.loop.driving fit --count 60`,
 simulated drives of the shipped network."""
 _TENTHS = np.arange(10) / 10.0
@@ -111,24 +113,33 @@ def fit_drive_prior(
     simplex = np.vstack([np.zeros(4), np.eye(4)])  # a standard deviation to each side
     options = {"xatol": 0.02, "fatol": 1e-3, "maxiter": 300, "initial_simplex": simplex}
     found = _prior(minimize(_loss, np.zeros(4), method="Nelder-Mead", options=options).x)
-    away = np.sort(np.abs(_forecasts(found, parts)[0]))
-    held = float(away[min(away.size - 1, math.ceil((away.size + 1) * _LEVEL) - 1)])
+    held = _conformal(np.abs(_forecasts(found, parts)[0]), _LEVEL)
     width = max(1.0, held / float(student.ppf(0.5 + 0.5 * _LEVEL, start.freedom or FREEDOM)))
-    return replace(found, width=width, change_std=_change_std(found, parts))
+    return replace(found, width=width, change_std=change_std(DriveFilter(found).learn(*part) for part in parts))
 
 
-def _change_std(prior: DrivePrior, parts: list[tuple[FloatArray, FloatArray, FloatArray]]) -> float:
-    """The least measure of innovations by which no more than `FALSE_ALARMS` of these runs raise an alarm."""
-    runs = [limited(DriveFilter(prior).learn(*part)).tolist() for part in parts]
+def change_std(innovations: Iterable[FloatArray]) -> float:
+    """Return the measure by which another run without a change raises an alarm with `FALSE_ALARMS` at most, of the
+    standardised innovations of runs, each (n,).
+    """
+    return _conformal(np.array([_least_std(limited(steps)) for steps in innovations]), 1.0 - FALSE_ALARMS)
 
-    def _raised(std: float) -> float:
-        alarms = 0
-        for steps in runs:
-            sums, threshold = Cusum(), threshold_of(float(len(steps)))
-            alarms += any(sums.add(step / std, 0.0, threshold) is not None for step in steps)
-        return alarms / len(runs)
 
-    return next((std for std in _CHANGE_STDS if _raised(std) <= FALSE_ALARMS), _CHANGE_STDS[-1])
+def _least_std(steps: FloatArray) -> float:
+    """The least measure by which a run raises no alarm."""
+    threshold = threshold_of(float(len(steps)))
+    for std in _CHANGE_STDS:
+        sums = Cusum()
+        if not any(sums.add(step, 0.0, threshold) for step in (steps / std).tolist()):
+            return std
+    return _CHANGE_STDS[-1]
+
+
+def _conformal(values: FloatArray, level: float) -> float:
+    """What another value of the same distribution does not exceed with the given probability (conformal prediction);
+    the largest where they are too few to say.
+    """
+    return float(np.sort(values)[min(values.size, math.ceil((values.size + 1) * level)) - 1])
 
 
 def _forecasts(

@@ -40,7 +40,7 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
         "error": dict(found.errors),
         "confirmed": found.confirmed(),
         "confirmed_in_plans": found.confirmed("proposed"),
-        "plan_shares": dict(found.shares),
+        "proposal": found.proposal,
         "level_ground": bool(getattr(fitted.base.form, "level", False)),
         "mean": {key: level.as_dict() for key, level in found.levels.items()},
         "base_parameters": _base_parameters(found),

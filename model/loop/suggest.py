@@ -20,7 +20,6 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.describe import planned_features
 from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.residuals import Residuals
-from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.terrain.heightmap import Heightmap
 
 Traction = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -33,27 +32,13 @@ _ROOM = 1.25  # times the length that there is time for: more than that a round 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A route to drive.
+    """A route to drive."""
 
-    Attributes
-    ----------
-    points : ndarray of float, (n, 2)
-        Its corners [m].
-    kind : str
-        Its shape in words.
-    speeds : tuple of float
-        To drive it at, round by round [m/s].
-    shrinkage : float
-        Expected width of the coefficient's interval over its width now, 0..1.
-    length_m : float
-        Of one round.
-    """
-
-    points: FloatArray
-    kind: str
-    speeds: tuple[float, ...]
-    shrinkage: float
-    length_m: float
+    points: FloatArray  # (n, 2): Its corners [m]
+    kind: str  # Its shape in words
+    speeds: tuple[float, ...]  # To drive it at, round by round [m/s]
+    shrinkage: float  # Expected width of the coefficient's interval over its width now, 0..1
+    length_m: float  # Of one round
 
 
 def suggest_drive(
@@ -161,6 +146,5 @@ def _over_and_over(once: Features, speeds: tuple[float, ...], length_m: float) -
     rounds = max(len(speeds), round(length_m / count))
     pace = np.repeat([1.0 / speeds[k % len(speeds)] for k in range(rounds)], count)
     again = once.take(np.tile(np.arange(count), rounds))
-    gentle = np.stack([np.minimum(again.turned_abs_rad, rate * pace) for rate in TURN_LIMITS_RADPS], axis=1)
     metres = np.arange(1.0, pace.size + 1.0)
-    return replace(again, duration_s=pace, gentle_turn_rad=gentle, since_s=np.cumsum(pace), driven_m=metres)
+    return replace(again, duration_s=pace, since_s=np.cumsum(pace), driven_m=metres)

@@ -14,18 +14,10 @@ from joulemap.model.runs.features import SHARE_DRIVEN, Features, FloatArray
 
 @dataclass(frozen=True)
 class Term:
-    """A form with fitted coefficients.
+    """A form with fitted coefficients."""
 
-    Attributes
-    ----------
-    form : Form
-        What it depends on, and how.
-    coefficients : tuple of float
-        One for each column of the form.
-    """
-
-    form: Form
-    coefficients: tuple[float, ...]
+    form: Form  # What it depends on, and how
+    coefficients: tuple[float, ...]  # One for each column of the form
 
     def energy(self, rows: Features) -> FloatArray:
         """Return the energy that it adds to each row. Result (n,): energy [J], or charge [A s]."""
@@ -43,28 +35,14 @@ class Term:
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect that was found.
+    """An effect that was found."""
 
-    Attributes
-    ----------
-    term : Term
-        What is new in these runs and not in the baseline runs.
-    low, high : ndarray of float, (k,)
-        95 % confidence intervals of its coefficients.
-    p_value : float
-        Allowing for every test.
-    share : float
-        Share of the squared error that it explains on left-out runs.
-    between : bool
-        Whether it was found in the differences between runs.
-    """
-
-    term: Term
-    low: FloatArray
+    term: Term  # What is new in these runs and not in the baseline runs
+    low: FloatArray  # (k,): Ends of the 95 % confidence intervals of its coefficients
     high: FloatArray
-    p_value: float
-    share: float
-    between: bool
+    p_value: float  # Allowing for every test
+    share: float  # Of the squared error, that it explains on left-out runs
+    between: bool  # Whether it was found in the differences between runs
 
 
 def energy_of(terms: Sequence[Term], rows: Features) -> FloatArray:
@@ -84,7 +62,7 @@ def turning_per_rad(terms: Sequence[Term], rows: Features, kind: str = "") -> fl
     turned = rows.turned_abs_rad
     named = {column: np.full(len(rows), kind) for column in rows.words}
     rows = replace(rows, words=named, drives=replace(rows.drives, motor_speed_mps=None))
-    straight = replace(rows, turned_abs_rad=0.0 * turned, gentle_turn_rad=0.0 * rows.gentle_turn_rad)
+    straight = replace(rows, turned_abs_rad=0.0 * turned)
     of_turning = [t for t in terms if t.form.name == "turning" or "turning" in t.form.parts]
     energy = energy_of(of_turning, rows) - energy_of(of_turning, straight)  # a curve may be nil at another turn
     return float(turned @ energy) / max(float(turned @ turned), 1e-12)

@@ -15,7 +15,6 @@ from joulemap.model.recordings.types import full_type, types_of
 from joulemap.model.source_file import SourceFile
 
 _MAGIC = b"\x89MCAP0\r\n"
-_RECORD_HEAD = 9  # code and length
 _LARGEST_RECORD = 1 << 30
 _READ = ("cdr", "ros1", "json", "protobuf")
 
@@ -33,32 +32,20 @@ def open_mcap(source: SourceFile) -> Iterator[Recording]:
 
 
 class _Recording:
-    """Read by its index, so that chunks without wanted topics are not unpacked; without one from start to end."""
+    """Read from start to end: nearly every chunk holds messages of all topics, so that an index would save nothing."""
 
     def __init__(self, stream: BinaryIO, source: SourceFile) -> None:
-        from mcap.reader import SeekingReader
-
         self.notes: list[str] = []
         self.topics: dict[str, Topic] = {}
         self._stream, self._source = stream, source
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, Any] = {}
-        self._chunks: list[Any] = []
-        stream.seek(max(source.size_bytes - len(_MAGIC), 0))
-        if stream.read() != _MAGIC or source.size_bytes <= 2 * len(_MAGIC):  # it was cut off
-            return
-        stream.seek(0)
-        summary = SeekingReader(stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD).get_summary()
-        if summary is not None and summary.channels and summary.chunk_indexes:
-            self._schemas, self._channels, self._chunks = summary.schemas, summary.channels, summary.chunk_indexes
-        for channel in self._channels.values():
-            self._meet(channel)
 
     def messages(self, wanted: Wanted) -> Iterator[tuple[Topic, float, Any]]:
         from mcap.records import Channel, Message, Schema
 
         readers: dict[int, Callable[[bytes], Any] | None] = {}
-        for record in self._indexed(wanted) if self._chunks else self._all():
+        for record in self._all():
             if isinstance(record, Schema):
                 self._schemas[record.id] = record
             elif isinstance(record, Channel):
@@ -79,18 +66,6 @@ class _Recording:
         readable = encoding in _READ and (encoding != "protobuf" or schema is not None)
         kind = schema.name if schema is not None else ""
         self.topics.setdefault(channel.topic, Topic(channel.topic, kind, encoding or "no known encoding", readable))
-
-    def _indexed(self, wanted: Wanted) -> Iterator[Any]:
-        """The records of the chunks that hold a wanted topic."""
-        from mcap.data_stream import ReadDataStream
-        from mcap.records import Chunk
-
-        topics = {number: self.topics[channel.topic] for number, channel in self._channels.items()}
-        chosen = {number for number, topic in topics.items() if topic.readable and wanted(topic)}
-        for index in sorted(self._chunks, key=lambda chunk: int(chunk.chunk_start_offset)):
-            if chosen & set(index.message_index_offsets or chosen):
-                self._stream.seek(index.chunk_start_offset + _RECORD_HEAD)
-                yield from self._inside(Chunk.read(ReadDataStream(self._stream)), index.chunk_start_offset)
 
     def _all(self) -> Iterator[Any]:
         """All records, to where the file ends."""
@@ -115,7 +90,8 @@ class _Recording:
         from mcap.stream_reader import StreamReader
 
         self._stream.seek(0)
-        records = iter(StreamReader(self._stream, emit_chunks=True, record_size_limit=_LARGEST_RECORD).records)
+        reader = StreamReader(self._stream, emit_chunks=True, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
+        records = iter(reader.records)
         end = 0
         while True:
             try:

@@ -16,17 +16,31 @@ _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 _SERIAL_DAYS = (20_000.0, 80_000.0)  # dates of spreadsheets from 1954 to 2119
 _SHORTEST_STEP_S = 1e-3  # no log of a vehicle is written more often
 _EARTH_M = 6_371_000.0
+_DEGREES = 0.1  # a drive of 10 km spans less of both
 _ALIKE = 0.2  # of a path and the distance of a speed, which differ by slips and corners
 _SPEEDS = ("m/s", "km/h", "mph")  # these differ by more; knots and miles an hour do not
+_CONFUSED = (3.6, 1.0 / 0.44704, 1.609344, 1000.0)  # m/s with km/h or mph, km with miles, m with km
+_RATIO = 0.05
 _WINDOW_S = 5.0
 _LEAST_DRAG_M2 = 0.1
-_SLOWEST_MPS, _FASTEST_MPS = 0.02, 70.0  # of the path of a vehicle that drives
+_DRIVEN_MPS = (0.02, 70.0)  # of the path of a vehicle that drives
+_STARTED_MPS2 = (0.05, 30.0)  # it starts or brakes faster; rounded speeds seem to jump
+
+MOST_V = 2000.0
+"""No pack of a vehicle has more."""
+
+MOST_A = 1_000.0
+"""More than the packs of electric lorries give for long."""
+
+LEAST_LOAD_OHM = 0.05
+"""A smaller load is as small as the inner resistance of a battery pack and its cables: no pack drives it for long."""
 
 
-def time_unit(values: FloatArray, path_m: float | None) -> tuple[str, str]:
+def time_unit(values: FloatArray, path_m: float | None, speed: FloatArray | None = None) -> tuple[str, str]:
     """Return the unit of stamps that have none.
 
-    `values` is (n,). Result: the unit, empty for seconds; and why, where it is not that of an epoch.
+    `values` is (n,); `speed` (n,): of the vehicle, in any unit. Result: the unit, empty for seconds; and why, where it
+    is not that of an epoch.
     """
     known = values[np.isfinite(values)]
     if known.size < 2:
@@ -37,37 +51,93 @@ def time_unit(values: FloatArray, path_m: float | None) -> tuple[str, str]:
         return epoch, ""
     steps = np.abs(np.diff(known))
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    clock = known % 100.0 < 60.0, known // 100.0 % 100.0 < 60.0
+    if np.ptp(known) > 100.0 and largest < 240_000.0 and np.all(clock) and step <= 30.0:
+        return "hhmmss", "no two digits of it reach 60"
     low, high = _SERIAL_DAYS
     if low < known.min() and largest < high and 0 < step < _SHORTEST_STEP_S:
         return "d", "days of a spreadsheet"
-    if path_m and step >= 10.0 and (known == np.round(known)).all():
-        span = float(np.ptp(known))
-        fitting = [
-            unit
-            for unit in ("s", "ms", "us")
-            if step * UNITS["time"][unit][0] >= _SHORTEST_STEP_S
-            and _SLOWEST_MPS < path_m / (span * UNITS["time"][unit][0]) < _FASTEST_MPS
-        ]
-        if len(fitting) == 1 and fitting != ["s"]:
-            return fitting[0], "by the way that was driven"
-    return "", ""
+    if step < 10.0 or (known != np.round(known)).any():
+        return "", ""
+    if path_m:
+        made, (slowest, fastest), why = path_m / float(np.ptp(known)), _DRIVEN_MPS, "by the way that was driven"
+    else:
+        made, (slowest, fastest), why = _acceleration(values, speed), _STARTED_MPS2, "by how its speed changes"
+    fitting = [
+        unit
+        for unit in ("s", "ms", "us")
+        if step * UNITS["time"][unit][0] >= _SHORTEST_STEP_S and slowest < made / UNITS["time"][unit][0] < fastest
+    ]
+    return (fitting[0], why) if len(fitting) == 1 and fitting != ["s"] else ("", "")
 
 
-def degrees_unit(target: str, values: FloatArray) -> str:
+def _acceleration(t: FloatArray, speed: FloatArray | None) -> float:
+    """How fast a speed changes at most, but for one in a hundred rows that may be wrong; 0 where it is not known."""
+    if speed is None or (known := np.isfinite(t) & np.isfinite(speed)).sum() < 3:
+        return 0.0
+    steps = np.diff(t[known])
+    return float(np.quantile(np.abs(np.diff(speed[known])[steps > 0] / steps[steps > 0]), 0.99, method="higher"))
+
+
+def thousandths(volts: FloatArray | None, amps: FloatArray | None) -> list[str]:
+    """Return which of a voltage and a current must be in thousandths of V and A.
+
+    `volts`, `amps` (n,): of one battery, in units that nothing says.
+    """
+    if volts is None or not np.isfinite(volts).any():
+        return []
+    volt, found = abs(float(np.nanmedian(volts))), list[str]()
+    if volt > MOST_V:
+        volt, found = 1e-3 * volt, ["voltage"]
+    flowing = np.abs(amps[np.isfinite(amps) & (amps != 0)]) if amps is not None else np.empty(0)
+    if flowing.size and float(np.median(flowing)) > most_amps(volt):
+        found.append("current")
+    return found
+
+
+def most_amps(volts: float) -> float:
+    """Return the largest current that a battery of so many volts gives for long [A]."""
+    return min(MOST_A, volts / LEAST_LOAD_OHM)
+
+
+def of_clock(values: FloatArray) -> FloatArray:
+    """Return seconds since midnight of numbers such as 142005.25, which are 14 h, 20 min and 5.25 s.
+
+    `values` and the result are (n,).
+    """
+    return values - 40.0 * (values // 100.0) - 2400.0 * (values // 10_000.0)
+
+
+def degrees_unit(target: str, values: FloatArray, column: str) -> str:
     """Return the unit of latitudes or longitudes that are no degrees.
 
-    `values` is (n,). Result: `degE7` for whole numbers of 1e-7 degrees, `ddmm` for degrees and minutes as NMEA writes
+    `values` is (n,). Result: `degE7` for whole numbers of 1e-7 degrees, `semicircles` for
+    those of FIT, `ddmm` for degrees and minutes as NMEA writes
     them; else empty.
     """
     known = np.abs(values[np.isfinite(values) & (values != 0)])
     most = 90.0 if target == "lat" else 180.0
     if not known.size or np.median(known) <= most:
         return ""
-    if np.median(known) > 1e6 and known.max() <= most * 1e7 and (known == np.round(known)).all():
-        return "degE7"
+    if np.median(known) > 1e6 and (known == np.round(known)).all():
+        of_fit = column.lower() in ("position_lat", "position_long")  # as the profile of FIT calls its semicircles
+        return "semicircles" if of_fit or known.max() > most * 1e7 else "degE7"
     if known.max() <= 100.0 * most + 60.0 and (known % 100.0 < 60.0).all() and (known != np.round(known)).any():
         return "ddmm"
     return ""
+
+
+def in_degrees(x: FloatArray, y: FloatArray) -> bool:
+    """Return whether positions are a longitude and a latitude rather than metres.
+
+    `x`, `y` (n,): NaN where unknown.
+    """
+    known = np.isfinite(x) & np.isfinite(y)
+    if not known.any():
+        return False
+    x, y = x[known], y[known]
+    small = np.ptp(x) < _DEGREES and np.ptp(y) < _DEGREES and (np.ptp(x) > 0 or np.ptp(y) > 0)
+    return bool(small and np.abs(x).max() <= 180 and np.abs(y).max() <= 90 and np.abs(y).min() > 0.5)
 
 
 def of_minutes(values: FloatArray) -> FloatArray:
@@ -132,11 +202,24 @@ def speed_unit(t: FloatArray, speed: FloatArray, numbers: Mapping[str, FloatArra
         made = summed(t, speed)
         whole = float(np.nanmax(made, initial=0.0))
         ratio = path_m / whole if path_m and whole > 0 else 0.0
+        ratio = 1e3 * ratio if ratio < 0.01 else ratio  # a distance in km
     if ratio <= 0:
         return ""
     off = {unit: abs(np.log(ratio / UNITS["speed"][unit][0])) for unit in _SPEEDS}
     best = min(off, key=lambda unit: off[unit])
     return best if off[best] < _ALIKE else ""
+
+
+def contradiction(counted: FloatArray, made: FloatArray) -> str:
+    """Return how many times a counted distance is that of the speed, where that is the ratio of two units.
+
+    `counted`, `made` (n,): from the first row [m]. Result: such as `3.6`; empty where they agree, or differ otherwise.
+    """
+    whole, other = (float(np.nanmax(values, initial=0.0)) for values in (counted, made))
+    if whole <= 0 or other <= 0:
+        return ""
+    near = [each for each in _CONFUSED if abs(abs(np.log(whole / other)) - np.log(each)) < _RATIO]
+    return f"{whole / other:.3g}" if near else ""
 
 
 def power_unit(power: FloatArray, speed: FloatArray) -> str:
@@ -150,9 +233,25 @@ def power_unit(power: FloatArray, speed: FloatArray) -> str:
     known = np.isfinite(power) & np.isfinite(speed)
     if not known.any():
         return ""
-    air = 0.5 * 1.2 * _LEAST_DRAG_M2 * float(np.mean(np.abs(speed[known]) ** 3))
-    mean = abs(float(np.mean(power[known])))
+    air, mean = _air_w(speed[known]), abs(float(np.mean(power[known])))
     return "kW" if mean < air <= 1e3 * mean else ""
+
+
+def _air_w(speed: FloatArray) -> float:
+    return 0.5 * 1.2 * _LEAST_DRAG_M2 * float(np.mean(np.abs(speed) ** 3))
+
+
+def drives_nothing(power: FloatArray, speed: FloatArray) -> bool:
+    """Return whether a power at rest is as large as while driving, but for less than the air takes: it is another
+    number, such as the voltage of a tracker's supply.
+
+    `power` (n,): [W]; `speed` (n,): at the same rows [m/s].
+    """
+    known = np.isfinite(power) & np.isfinite(speed)
+    rest, drive = (known & side for side in (np.abs(speed) < _DRIVEN_MPS[0], np.abs(speed) >= _DRIVEN_MPS[0]))
+    if not rest.any() or not drive.any():
+        return False
+    return abs(float(np.mean(power[drive]) - np.mean(power[rest]))) < _air_w(speed[drive])
 
 
 def compass(t: FloatArray, angle: FloatArray, numbers: Mapping[str, FloatArray]) -> tuple[FloatArray, str] | None:

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.runs.headings import Velocity
-from joulemap.model.runs.reader import Run
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
 from joulemap.model.runs.track import integral
 
@@ -28,6 +28,9 @@ STOP_S = 2.0
 STILL_M = 0.05
 """Within `STOP_S` a stationary robot moves no further, about twice the noise of positions from RTK or lidar. A setting.
 Together they are the standing speed, 0.025 m/s."""
+
+SELDOM_S = 5.0
+"""Between fixes: in so long a car turns at a crossing."""
 
 _BRIDGED_LENGTHS = 1.0 / math.tan(math.pi / 8.0)
 # An arc that turns by a quarter leaves its chord c by c / 2 tan(pi / 8). At c = 2.41 lengths this is half a length: the
@@ -112,16 +115,20 @@ def arc_track(run: Run, length_m: float) -> ArcTrack:
     interval = float(np.median(np.diff(run.t[fixes])[moved])) if moved.any() else 0.0
     piece = np.cumsum(gap, dtype=np.int64)
     smoothing_s = max(SMOOTHING_S, interval)
-    x, y, vx, vy = smooth(t, x, y, piece, smoothing_s)
+    smooth_x, smooth_y, vx, vy = smooth(t, x, y, piece, smoothing_s)
+    if interval < SELDOM_S:  # else a smoothed track cuts the corners by more than the noise of its fixes
+        x, y = smooth_x, smooth_y
     speed = np.hypot(vx, vy)
     noise = position_noise(run.x[fixes], run.y[fixes], moved)
     within = max(STILL_M, _NOISES * noise)
+    # with fixes seconds apart, what a vehicle accelerates is in the noise too, and the speed is that over more time
+    still_mps = within / max(STOP_S, 2.0 * interval)
     rims = _rims(run, rows, piece)
     rates = [np.abs(np.gradient(rim, t)) if t.size > 1 else np.zeros(t.size) for rim in rims]
-    still = np.max([speed, *rates], axis=0) < within / STOP_S
+    still = np.max([speed, *rates], axis=0) < still_mps
     stop = _stops(t, np.stack([x, y, *rims]), still, gap, within, STOP_S)
     step = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
-    stays = _both(speed < within / STOP_S) | _both(stop)
+    stays = _both(speed < still_mps) | _both(stop)
     arc = np.cumsum(np.where(gap | stays, 0.0, step))
     return ArcTrack(rows, t, x, y, speed, gap, stop, still, arc, gap_m, interval, Velocity(vx, vy, noise, smoothing_s))
 

@@ -13,9 +13,9 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import CARRIED, cut_segments
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.files import read_alike
-from joulemap.model.runs.odometry import read_odometry
-from joulemap.model.runs.reader import Run, read_run
+from joulemap.model.runs.reader import read_run
 from joulemap.model.runs.rolling import cut_travel
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments, concatenate_segments, driven_only
 from joulemap.model.runs.sites import Site, files_of, robot_of_all
 from joulemap.model.terrain.heightmap import Heightmap
@@ -91,10 +91,8 @@ def read_calibration_runs(sites: Sequence[Site], *, currents: Currents = "auto")
 
 
 def _reader(site: Site) -> Callable[[Path, str, Currents], Run]:
-    if site.odometry is not None:
-        how = site.odometry
-        return lambda file, name, currents: read_odometry(file, how, name=name, currents=currents)
-    return lambda file, name, currents: read_run(file, name=name, crs=site.heightmap.frame.crs, currents=currents)
+    crs, how = site.heightmap.frame.crs, site.odometry
+    return lambda file, name, currents: read_run(file, name=name, crs=crs, odometry=how, currents=currents)
 
 
 def _cutter(site: Site) -> Callable[[Run, bool], Segments]:

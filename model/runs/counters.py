@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from joulemap.model.runs.table import FloatArray
+
+BoolArray = NDArray[np.bool_]
 
 _RESET_SHARE = 0.1  # a counter that begins anew falls to less than this share of what it was
 _LONGEST_STEP = 10.0  # usual steps between rows, and 10 s at least: over more nothing is summed
@@ -62,7 +65,18 @@ def summed(t: FloatArray, speed: FloatArray) -> FloatArray:
     if known.size < 2:
         return out
     dt, fast = np.diff(t[known]), np.abs(speed[known])
-    usual = float(np.median(dt[dt > 0])) if (dt > 0).any() else 0.0
-    dt = np.where((dt > 0) & (dt <= max(_LONGEST_STEP * usual, 10.0)), dt, 0.0)
-    out[known] = np.concatenate([[0.0], np.cumsum(0.5 * (fast[1:] + fast[:-1]) * dt)])
+    dt = np.where(_pause(dt), 0.0, dt)
+    out[known] = np.concatenate([[0.0], np.cumsum(0.5 * (fast[1:] + fast[:-1]) * np.maximum(dt, 0.0))])
     return out
+
+
+def unknown_s(t: FloatArray, speed: FloatArray) -> float:
+    """Return for how long `summed` sums nothing, though the vehicle drove before or after [s]."""
+    known = np.flatnonzero(np.isfinite(t) & np.isfinite(speed))
+    dt, fast = np.diff(t[known]), np.abs(speed[known])
+    return float(dt[_pause(dt) & (np.maximum(fast[1:], fast[:-1]) > 0)].sum())
+
+
+def _pause(dt: FloatArray) -> BoolArray:
+    usual = float(np.median(dt[dt > 0])) if (dt > 0).any() else 0.0
+    return dt > max(_LONGEST_STEP * usual, 10.0)

@@ -31,7 +31,7 @@ from joulemap.model.runs.arcs import (
     stops_of,
 )
 from joulemap.model.runs.headings import headings
-from joulemap.model.runs.reader import Run
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.table import add_count
 from joulemap.model.runs.track import integral, track_speeds, turns_between
@@ -79,9 +79,9 @@ def cut_segments(
     ps, qs = _at(track.arc_m)
     pointed = headings(run, track.rows, track.gap, track.velocity, ~track.still)
     heading = pointed.smoothed.value
-    change, _, _ = turns_between(t, heading, ends)
+    change, _ = turns_between(heading, ends)
     moving = np.where(stays | stops, 0.0, wrap_angle(np.diff(heading, prepend=heading[:1])))
-    _, turned_abs, gentle = turns_between(t, np.cumsum(moving), ends)
+    _, turned_abs = turns_between(np.cumsum(moving), ends)
     half_square = 0.5 * track_speeds(filled, track.rows, piece, track.interval_s, track.speed) ** 2
     rises = np.where(track.gap | stops, 0.0, np.maximum(np.diff(half_square, prepend=0.0), 0.0))
     kinetic_p, kinetic_q = _at(half_square)
@@ -109,7 +109,6 @@ def cut_segments(
         "heading_change_rad": change,
         "turn_sd_rad": pointed.turn_sd(ends),
         "turned_abs_rad": turned_abs,
-        "gentle_turn_rad": gentle,
         "gained_m2ps2": _between(rises),
         "kinetic_m2ps2": kinetic_q - kinetic_p,
         "standing_s": _between(np.where(stays & ~stops, dt, 0.0)),

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from joulemap.model.robot import Robot
 from joulemap.model.runs.features import GROUND, Drives, Features, FloatArray, row_arrays
 from joulemap.model.runs.segments import Segments
-from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.runs.under_segments import ground_under, unread_ground
 from joulemap.model.terrain.heightmap import Heightmap
 
@@ -44,7 +43,6 @@ def describe_segments(
         traction_per_m=np.asarray(traction_per_m, dtype=np.float64),
         turned_rad=segments.heading_change_rad,
         turned_abs_rad=segments.turned_abs_rad,
-        gentle_turn_rad=segments.gentle_turn_rad,
         gained_m2ps2=segments.gained_m2ps2,
         kinetic_m2ps2=segments.kinetic_m2ps2,
         **ground,
@@ -96,7 +94,6 @@ def planned_features(
         traction_per_m=np.asarray(traction_per_m, dtype=np.float64),
         turned_rad=zero,
         turned_abs_rad=zero,
-        gentle_turn_rad=np.zeros((n, len(TURN_LIMITS_RADPS))),
         gained_m2ps2=zero,
         kinetic_m2ps2=zero,
         **ground,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import HeightmapError, InputError, RunsError
-from joulemap.model.runs.reader import Run
+from joulemap.model.runs.run import Run
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]

@@ -25,6 +25,7 @@ from joulemap.model.runs.reckoning import sides_of
 from joulemap.model.runs.table import add_count, columns_there
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 Currents = Literal["auto", "signed", "magnitude"]
 """How the currents of several motors are summed."""
@@ -33,6 +34,7 @@ _TOTALS = ("power", "voltage", "current")
 _SIDES = ("left_current", "right_current")
 _MOST_MOTORS = 8  # of more, not all readings of the signs are tried
 _USUAL = (0.01, 0.99)  # quantiles between which a meter reads nearly always
+_SHORTEST_PEAK_S = 0.5  # a vehicle brakes or starts for longer
 _MOST_FED_BACK = 0.5  # going up and down again with an efficiency of 0.7 each way gives half of it back
 
 
@@ -63,7 +65,7 @@ def electric(
         of_readings = any(held[each] for each in read)  # a reading that is a spike looks like the others
         return filled if of_readings else _without_spikes(t, values, filled, share, key, repairs)
 
-    power = _logged(numbers, "power", repairs)
+    power = _logged(numbers, "power", t, numbers.get("voltage"), repairs)
     if power is not None:
         power = _repaired(power, 1.0, "power", ["power"])
     voltage = numbers.pop("voltage", None)
@@ -71,7 +73,7 @@ def electric(
         voltage = None
     if voltage is not None:
         voltage = _repaired(voltage, 0.25, "voltage", ["voltage"])
-    current, how = _logged(numbers, "current", repairs), None
+    current, how = _logged(numbers, "current", t, voltage, repairs), None
     summed = current is None and bool(parts)
     if summed:
         current, how = _summed({key: numbers.pop(key) for key in parts}, numbers, repairs, currents)
@@ -90,15 +92,28 @@ def electric(
     return np.where(voltage > 0, power / np.where(voltage > 0, voltage, 1.0), 0.0), voltage, power, None, False
 
 
-def _logged(numbers: dict[str, FloatArray], key: str, repairs: dict[str, int]) -> FloatArray | None:
+def _logged(
+    numbers: dict[str, FloatArray], key: str, t: FloatArray, voltage: FloatArray | None, repairs: dict[str, int]
+) -> FloatArray | None:
     """A total, positive while the battery discharges."""
     values = numbers.pop(key, None)
     if values is not None:
-        flowing = values[np.isfinite(values) & (values != 0)]  # at rest some ammeters say 0
-        if flowing.size and np.median(flowing) < 0:
+        flowing = np.isfinite(values) & (values != 0)  # at rest some ammeters say 0
+        if flowing.any() and _charges(t[flowing], values[flowing], None if voltage is None else voltage[flowing]):
             add_count(repairs, f"{key}_sign_flipped", 1)
             return -values
     return values
+
+
+def _charges(t: FloatArray, values: FloatArray, voltage: FloatArray | None) -> bool:
+    """Whether positive values charge the battery: usually it discharges, in most rows and in sum.
+
+    Where these differ, as on a way down or with a charger at the end, the voltage tells: it falls under load.
+    """
+    usual, total = np.median(values) < 0, np.trapezoid(values, t) < 0
+    if usual == total or voltage is None:
+        return bool(usual)
+    return bool(np.nansum(np.diff(values) * np.diff(voltage)) > 0)
 
 
 def _summed(
@@ -159,6 +174,15 @@ def _without_blanks(t: FloatArray, values: FloatArray, key: str, name: str, repa
     return np.interp(t, t[~blank], values[~blank])
 
 
+def _short(t: FloatArray, rows: BoolArray) -> BoolArray:
+    """Of marked rows those of stretches that are one row, or shorter than any braking or start."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8)))
+    out = np.zeros(t.size, dtype=bool)
+    for begin, end in ends.reshape(-1, 2):
+        out[begin:end] = end - begin == 1 or t[end - 1] - t[begin] < _SHORTEST_PEAK_S
+    return out
+
+
 def _without_spikes(
     t: FloatArray, values: FloatArray, filled: FloatArray, share: float, key: str, repairs: dict[str, int]
 ) -> FloatArray:
@@ -171,6 +195,7 @@ def _without_spikes(
     low, high = np.quantile(filled, _USUAL)
     unseen = (filled < low - (high - low)) | (filled > high + (high - low))  # what is there again and again is no spike
     spikes = unseen & (away > 6.0 * spread + share * abs(float(np.median(filled))))
+    spikes &= _short(t, spikes)
     add_count(repairs, f"{key}_spikes", int((spikes & ~blank).sum()))
     good = ~(spikes | blank)
     return np.interp(t, t[good], values[good])

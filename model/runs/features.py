@@ -73,8 +73,6 @@ class Features:
         Prediction of the base model [J/m].
     turned_rad, turned_abs_rad, gained_m2ps2, kinetic_m2ps2 : ndarray of float, (n,)
         As `heading_change_rad`, `turned_abs_rad`, `gained_m2ps2` and `kinetic_m2ps2` of `Segments`.
-    gentle_turn_rad : ndarray of float, (n, 7)
-        As in `Segments`.
     grade : ndarray of float, (n,)
         Tangent of the slope along the heading, positive uphill, mean over the segment between both axles.
     grades : ndarray of float, (n, places)
@@ -121,7 +119,6 @@ class Features:
     traction_per_m: FloatArray
     turned_rad: FloatArray
     turned_abs_rad: FloatArray
-    gentle_turn_rad: FloatArray
     gained_m2ps2: FloatArray
     kinetic_m2ps2: FloatArray
     grade: FloatArray

@@ -13,7 +13,8 @@ from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import CARRIED, cut_segments
 from joulemap.model.runs.electric import Currents
-from joulemap.model.runs.reader import Run, read_run
+from joulemap.model.runs.reader import read_run
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments, concatenate_segments, driven_only
 
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from joulemap.model.frames import heading_of, wrap_angle
 from joulemap.model.runs.held_readings import between_readings
 from joulemap.model.runs.kalman import Sensors, Smoothed, likeliest, smooth
-from joulemap.model.runs.reader import Run
 from joulemap.model.runs.reckoning import sides_of
+from joulemap.model.runs.run import Run
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

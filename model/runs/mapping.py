@@ -56,7 +56,7 @@ class Source:
             f"{'-' if sign < 0 else '+' if k else ''}{column}" for k, (sign, column) in enumerate(self.parts)
         )
         unit = self.unit or own_unit(target)
-        return f"{signed} [{unit}]" if unit else signed
+        return f"{signed} [{unit}]" if unit and not signed.endswith(f"[{unit}]") else signed
 
 
 def read_mapping(given: MappingLike | None) -> dict[str, str]:

@@ -8,7 +8,7 @@ and of values that are not measured (`target`, `max`) rule a column out.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,14 +21,14 @@ def _set(words: str) -> frozenset[str]:
 
 _WORDS: dict[str, frozenset[str]] = {
     "t": _set(
-        "t ts time timestamp datetime date stamp clock elapsed seconds secs sec ms millis milliseconds us micros "
-        "microseconds ns nanoseconds uptime epoch unix utc"
+        "t ts time times timestamp timestamps datetime date stamp clock elapsed seconds secs sec ms millis "
+        "milliseconds us micros microseconds ns nanoseconds uptime epoch unix utc interval"
     ),
-    "x": _set("x easting utmx"),
-    "y": _set("y northing utmy"),
+    "x": _set("x easting utmx east"),
+    "y": _set("y northing utmy north"),
     "z": _set("z altitude alt elevation elev elv ele height"),
     "lat": _set("lat latitude"),
-    "lon": _set("lon lng long longitude"),
+    "lon": _set("lon lng long longitude longtitude"),
     "voltage": _set("voltage voltages volts volt u v vbat vbatt vin vbus"),
     "current": _set("current curr cur amps amp amperes amperage a i ibat ibatt iin ibus"),
     "power": _set("power watts watt pwr w p pbat"),
@@ -53,28 +53,30 @@ _ABOUT = _set(
     "gps gnss rtk fix pos pose position odom odometry utm local map world state battery batt bat pack main total "
     "tot sum setup overall all input in bus dc hv supply system sys sensor measured actual value data inverter "
     "vehicle car robot base mcu esc vesc of the and today abs log logged header since start device obd traction "
-    "ground location loc geo coordinates point track enhanced is true"
+    "ground location loc geo coordinates point track enhanced is true field msg message data hybrid bms filtered body "
+    "tform transform"
 )
 """Words that do not change what a column is."""
 
 _NEVER = _set(
     "min max minimum maximum target set setpoint ref reference limit cmd command commanded desired request "
-    "requested wanted goal home origin waypoint wp dest destination std cov covariance variance accuracy raw "
-    "delta avg average mean peak predicted estimate remaining to empty full per rated nominal"
+    "requested wanted tx transmitter remote goal home origin waypoint wp dest destination std cov covariance variance "
+    "accuracy raw delta avg average mean peak predicted estimate remaining to empty full per rated nominal"
 )
 _ELECTRIC = _set(
     "motor phase cell cells heater heating heat ac aircon air conditioning aux auxiliary 12 12v lv charger "
     "charging regen regenerated regenerative brake braking solar pv fan pump servo usb led iq q d axis human "
-    "rider crank mechanical mech factor feedforward led light lights wheel gen generator fuel"
+    "rider crank mechanical mech port driver factor feedforward led light lights wheel gen generator fuel"
 )
 _NOT: dict[str, frozenset[str]] = {
-    **dict.fromkeys(("voltage", "current", "power"), _NEVER | _ELECTRIC),
+    **dict.fromkeys(("voltage", "current", "power"), _NEVER | _ELECTRIC | _set("trip")),
     **dict.fromkeys(
         ("energy", "charge"), _NEVER | _ELECTRIC | _set("charged recovered capacity available recuperated")
     ),
-    "soc": (_NEVER - _set("remaining")) | _ELECTRIC | _set("health soh displayed"),
+    "soc": (_NEVER - _set("remaining")) | _ELECTRIC | _set("health soh displayed index signal oil water"),
     "speed": _NEVER | _set("wind motor rotor fan angular rotation engine shaft turn wheel crank"),
     "distance": _NEVER | _set("sensor left range obstacle front rear"),
+    "z": _NEVER | _set("change gain loss"),
     "t": _NEVER | _set("remaining charge charging moving stopped left"),
 }
 SIDES: Mapping[str, str] = {
@@ -83,6 +85,8 @@ SIDES: Mapping[str, str] = {
 }  # fmt: skip
 """Words for a part of the vehicle."""
 _BY_UNIT = ("voltage", "current", "power", "soc")  # of which the unit of a battery's column leaves one
+_MEANS = (["avg"], ["average"], ["mean"])
+_WHEEL = _set("wheel wheels")
 _TOTAL = _set("total tot sum setup overall all")
 _BATTERY = _set("battery batt bat pack")
 _VOCABULARY = frozenset().union(*_WORDS.values(), _OTHER_QUANTITIES, _ABOUT, _NEVER, _ELECTRIC, SIDES)
@@ -104,8 +108,8 @@ class Candidate:
         As `units.known_unit` returns it; empty where the name says none.
     sureness : int
         `NAMED`, `LIKELY` or `POSSIBLE`.
-    total : bool
-        Whether the name says that it is a sum.
+    total : int
+        How much the name speaks for the whole: 2 where it says that it is a sum, and 1 more where it says battery.
     instance : str
         Number or side that the name has; empty without.
     """
@@ -113,7 +117,7 @@ class Candidate:
     column: str
     unit: str
     sureness: int
-    total: bool = False
+    total: int = 0
     instance: str = ""
 
 
@@ -122,30 +126,33 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
 
     Result: None where it is another quantity, of another part, or in a unit of another quantity.
     """
-    column_of_two, column = column, re.sub(r" \(\d+\)$", "", column)
+    column_of_two, column = column, re.sub(r" \(\d+\)$|\{[^}]*\}", "", column)  # labels of Prometheus
     stem, in_name = unit_in_name(target, column)
     said = known_unit(target, unit) if unit else None
-    if unit and said is None and target not in ("t", "lat", "lon"):
+    if unit and said is None and target not in ("t", "lat", "lon") and is_unit(unit):
         return None
-    words = _words(stem)
+    words = words_of(stem)
     by_unit = bool(in_name) and target in _BY_UNIT and bool(_BATTERY & {*words})  # `bat_mA`, `Battery [%]`
     if in_name is not None and not _WORDS[target] & {*words} and not by_unit:  # `Amps`
-        words = _words(column)
+        words = words_of(column)
+    if unit and words[-1:] in _MEANS:  # a logger that says units means that of its interval: `BattV_Avg`
+        words = words[:-1]
     bracket = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$", column)
-    if bracket is not None and in_name is None and not unit and _is_unit(bracket[1]):
+    if bracket is not None and in_name is None and not unit and is_unit(bracket[1]):
         return None  # a unit of another quantity
     heads = [word for word in words if word in _QUANTITY_WORDS and len(word) > 1]
     own = _WORDS[target]
     if not heads and by_unit and all(word in _ABOUT or word.isdigit() for word in words):
         instance = next((word for word in words if word.isdigit()), "")
-        return Candidate(column_of_two, in_name or "", LIKELY, bool(_TOTAL & {*words}), instance)
+        return Candidate(column_of_two, said or in_name or "", LIKELY, _whole(words), instance)
     if not heads:  # a single letter is a name only beside words that do not change it
         letters = [word for word in words if word in own]
         if not letters or any(word not in own | _ABOUT and not word.isdigit() for word in words):
             return None
     elif heads[-1] not in own and not (target == "t" and heads[0] in own and in_name is None and heads[-1] in _ABOUT):
         return None
-    if any(word in _NOT.get(target, _NEVER) for word in words):
+    never = _NOT.get(target, _NEVER) - (_WHEEL if said or in_name else frozenset())  # in rpm a wheel's is none
+    if any(word in never for word in words):
         return None
     if target in ("energy", "charge"):
         in_name = in_name or next((u for word in words if (u := known_unit(target, word))), None)  # watt_hours_used
@@ -160,8 +167,9 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
     unknown = [word for word in rest if word not in _ABOUT and not word.isdigit() and word not in SIDES]
     if (unknown and target in ("x", "y")) or (instance in SIDES.values() and not _BATTERY & {*words}):
         return None
-    sureness = POSSIBLE if unknown else LIKELY if rest else NAMED
-    return Candidate(column_of_two, said or in_name or "", sureness, bool(_TOTAL & {*words}), instance)
+    letter = not heads and target in _BY_UNIT  # `U` may be another thing: `Volt` is surer
+    sureness = POSSIBLE if unknown else LIKELY if rest or letter else NAMED
+    return Candidate(column_of_two, said or in_name or "", sureness, _whole(words), instance)
 
 
 def ruled_out(target: str, column: str) -> bool:
@@ -169,9 +177,14 @@ def ruled_out(target: str, column: str) -> bool:
 
     Result: False of a name without a known word.
     """
-    words = _words(unit_in_name(target, column)[0])
+    words = words_of(unit_in_name(target, column)[0])
     others = (_QUANTITY_WORDS - _WORDS[target]) | _NOT.get(target, _NEVER)
     return any(len(word) > 1 and word in others for word in words)
+
+
+def part_of(target: str, column: str) -> list[str]:
+    """Return the words of a name that do not say the quantity, but of what."""
+    return [word for word in words_of(unit_in_name(target, column)[0]) if word not in _WORDS[target]]
 
 
 def motor_current(column: str) -> Candidate | None:
@@ -187,21 +200,27 @@ def wheel_speed(column: str) -> Candidate | None:
 
 def _of_side(target: str, column: str, about: frozenset[str]) -> Candidate | None:
     stem, unit = unit_in_name(target, column)
-    words = _words(stem)
+    words = words_of(stem)
     rest = [word for word in words if word not in _WORDS[target]]
     instance = next((SIDES.get(word, word) for word in rest if word in SIDES or word.isdigit()), "")
     allowed = _ABOUT | about | {*SIDES}
     if len(rest) == len(words) or not instance or any(w not in allowed and not w.isdigit() for w in rest):
         return None
-    return Candidate(column, unit or "", LIKELY, False, instance)
+    return Candidate(column, unit or "", LIKELY, 0, instance)
 
 
-def _is_unit(word: str) -> bool:
+def _whole(words: Collection[str]) -> int:
+    return 2 * bool(_TOTAL & {*words}) + bool(_BATTERY & {*words})
+
+
+def is_unit(word: str) -> bool:
+    """Return whether a word, or a number, is a unit of some quantity."""
     return any(known_unit(target, word) is not None for target in ("t", "x", "lat", "temperature", "payload", *_WORDS))
 
 
 @lru_cache(maxsize=20_000)
-def _words(name: str) -> list[str]:
+def words_of(name: str) -> list[str]:
+    """Return the words of a name, in lower case."""
     found: list[str] = []
     for part in re.findall(r"[^\W_]+", name):
         pieces = [piece.lower() for piece in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\dA-Za-z]+", part)]

@@ -7,8 +7,8 @@ the sides, larger than the measured one. Positions drift within minutes; on flat
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +18,9 @@ from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.ranges import TRACK_M
 from joulemap.model.runs.arcs import rows_missing
-from joulemap.model.runs.electric import Currents
-from joulemap.model.runs.logs import read_log
-from joulemap.model.runs.reader import Run, run_of
 from joulemap.model.runs.rolling import SIDES, rolled_between, without_blanks
-from joulemap.model.runs.table import LIMITS, TableLimits, columns_there
-from joulemap.model.runs.table_columns import Table
+from joulemap.model.runs.run import Run
+from joulemap.model.runs.table import columns_there
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
@@ -55,46 +52,24 @@ class Odometry:
             )
 
 
-def read_odometry(
-    path: str | Path,
-    odometry: Odometry,
-    *,
-    name: str | None = None,
-    currents: Currents = "auto",
-    limits: TableLimits = LIMITS,
-    mapping: Mapping[str, str] | None = None,
-) -> Run:
-    """Read a log of wheel speeds as a run that starts at (0, 0) and heads north.
+def with_track(
+    numbers: dict[str, FloatArray], texts: dict[str, NDArray[np.str_]], odometry: Odometry, name: str
+) -> None:
+    """Add the track of wheel speeds, which starts at (0, 0) and heads north, with heading [deg] and speed [m/s].
 
-    Its columns are t [s], speed_left and speed_right [m/s], and current, several current_* [A] or power [W]; optionally
-    voltage [V] and any others. Columns named as in BorealTC (velL, curL, ...) are known too. The rules of
-    `joulemap.model.runs.reader` apply. The columns heading [deg] and speed [m/s] are added.
+    `numbers`, `texts` (n,): with t [s], speed_left and speed_right [m/s]; they are added to.
     """
-    path = Path(path)
-    name = name or path.name
-    repairs: dict[str, int] = {}
-    table = read_log(path, name, repairs, limits=limits, mapping=mapping)
-    return odometry_run(table, odometry, name=name, repairs=repairs, currents=currents)
-
-
-def odometry_run(
-    table: Table, odometry: Odometry, *, name: str, repairs: dict[str, int], currents: Currents = "auto"
-) -> Run:
-    """Make a run of a table of wheel speeds."""
-    numbers, texts = table.numbers, table.texts
     for column in ("t", *SIDES):
         if column not in numbers:
             raise RunsError(
                 f"run {name}: there is no column {column!r} of numbers{columns_there(numbers)}", run=name, column=column
             )
-    left, right = (without_blanks(numbers[name]) for name in SIDES)
+    left, right = (without_blanks(numbers[side]) for side in SIDES)
     x, y, heading = integrate(numbers["t"], left, right, track_m=odometry.track_m)
-    motion = {"heading": np.degrees(heading) % 360.0, "speed": (left + right) / 2}
+    numbers |= {"x": x, "y": y, "heading": np.degrees(heading) % 360.0, "speed": (left + right) / 2}
     terrain = terrain_in_name(name) if odometry.terrain_from_name else None
-    if terrain is not None and "terrain" not in texts:
-        texts["terrain"] = np.full(x.size, terrain)
-    run = run_of(numbers | {"x": x, "y": y} | motion, texts, name=name, repairs=repairs, currents=currents)
-    return replace(run, reading=table.reading)
+    if terrain is not None:
+        texts.setdefault("terrain", np.full(x.size, terrain))
 
 
 def terrain_in_name(name: str) -> str | None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from joulemap.model.ranges import ROBOT
-from joulemap.model.runs.reader import Run
+from joulemap.model.runs.agreement import MOST_A, MOST_V, in_degrees, most_amps
+from joulemap.model.runs.arcs import SELDOM_S
+from joulemap.model.runs.counters import summed
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments
 
 MOST_J_PER_M = 20_000.0
@@ -14,19 +17,14 @@ MOST_J_PER_M = 20_000.0
 LEAST_J_PER_M = 0.1
 """A toy of 1 kg on rails: 1 kg * 9.8 m/s2 * 0.01."""
 
-LEAST_LOAD_OHM = 0.05
-"""A smaller load is as small as the inner resistance of a battery pack and its cables: no pack drives it for long."""
-
-MOST_A = 1_000.0
-"""Where no voltage is logged: more than the packs of electric lorries give for long."""
-
 FASTEST_MPS = 70.0
 """250 km/h, at which cars are limited."""
 
+LENGTHS_DIFFER = 0.03
+"""Tyres and sensors of speed err by less [share]."""
+
 LONGEST_STEP_S, SLOWEST_MPS = 10.0, 0.02
 """Between rows: at a walking pace no metre of ground would have a row of its own. A robot that drove is believed."""
-
-_DEGREES = 0.1  # a drive of 10 km spans less of both
 
 
 def implausible(run: Run, segments: Segments | None = None) -> list[str]:
@@ -39,7 +37,7 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
     if step > LONGEST_STEP_S and _mean_speed(run) < SLOWEST_MPS:
         found.append(f"from one of its rows to the next it is {step:,.0f} s: is `t` in ms?")
     if run.voltage_v is not None:
-        volts, (low, high) = float(np.median(run.voltage_v)), (ROBOT["nominal_voltage_v"].low, 2000.0)
+        volts, (low, high) = float(np.median(run.voltage_v)), (ROBOT["nominal_voltage_v"].low, MOST_V)
         if volts > high:
             found.append(f"its voltage is {volts:,.0f} V: is `voltage` in mV?")
         elif 0 < volts < low:
@@ -60,16 +58,31 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
         if not segments.charge and not found:
             took = float(np.median(segments.energy_j / segments.driven_m))
             if took > MOST_J_PER_M:
-                column = "is `power` in mW" if run.power_w is not None else "is `current` in mA, or `voltage` in mV"
+                column = "is `power` in mW" if run.power_w is not None else "is `current` in mA"
+                column += "" if run.power_w is not None or run.voltage_v is None else ", or `voltage` in mV"
                 found.append(f"a metre took {took:,.0f} J: {column}?")
             elif 0 < took < LEAST_J_PER_M and run.power_w is not None:
                 found.append(f"a metre took {took:.3g} J: is `power` in kW?")
-    elif _in_degrees(run):
+    elif in_degrees(run.x, run.y):
         found.append(
             f"its positions span {np.ptp(run.x[np.isfinite(run.x)]):.2g} m by {np.ptp(run.y[np.isfinite(run.y)]):.2g} "
             "m: are `x` and `y` a longitude and a latitude? Then call them `lon` and `lat`"
         )
     return found
+
+
+def of_length(run: Run, segments: Segments | None) -> list[str]:
+    """Return a sentence where positions are so seldom that the track is not as long as the speed says; else nothing."""
+    speed = run.extras.get("speed")
+    if segments is None or speed is None or float(np.median(np.diff(run.t))) < SELDOM_S:
+        return []
+    made = float(np.nanmax(summed(run.t, speed), initial=0.0))
+    if abs(segments.track_m - made) <= LENGTHS_DIFFER * made:
+        return []
+    return [
+        f"its track is {segments.track_m:,.0f} m long, where its speed makes {made:,.0f} m: positions are too rare to "
+        "show its curves, and what a metre takes is wrong by as much"
+    ]
 
 
 def _mean_speed(run: Run) -> float:
@@ -85,13 +98,6 @@ def _current(run: Run) -> list[str]:
     if run.voltage_v is None:
         return [f"its current is {amps:,.0f} A: is `current` in mA?"] if amps > MOST_A else []
     volts = float(np.median(run.voltage_v))
-    if 0 < volts <= 2000.0 and amps > volts / LEAST_LOAD_OHM:
+    if 0 < volts <= MOST_V and amps > most_amps(volts):
         return [f"its current is {amps:,.0f} A at {volts:.1f} V: is `current` in mA?"]
     return []
-
-
-def _in_degrees(run: Run) -> bool:
-    known = np.isfinite(run.x) & np.isfinite(run.y)
-    x, y = run.x[known], run.y[known]
-    small = np.ptp(x) < _DEGREES and np.ptp(y) < _DEGREES and (np.ptp(x) > 0 or np.ptp(y) > 0)
-    return bool(small and np.abs(x).max() <= 180 and np.abs(y).max() <= 90 and np.abs(y).min() > 0.5)

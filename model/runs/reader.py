@@ -6,7 +6,8 @@ Rules, in this order. Their keys in `Run.repairs` are given in brackets; a key i
    Cells that are no numbers [unreadable_current] and marks of unknown values [marks_power] are blank.
 2. Rows without a time are dropped [rows_without_time].
 3. Of the stamps, the longest strictly increasing sequence is kept. A row with the stamp of a kept one is dropped as
-   repeated [duplicate_stamps], any other as out of order [backward_stamps]. More than a fifth out of order is an error.
+   repeated [duplicate_stamps], any other as out of order [backward_stamps]. More than a fifth out of order is an error,
+   but rows in no order at all, as parts of a table come together, are sorted [rows_sorted_by_time].
 4. Some fixes are not used: those with a gps_error above the larger of 5 cm and four times its median [bad_fixes], where
    a gps_error of exactly 0 means "not reported"; blank ones, and those with a latitude or longitude that does not exist
    [blank_fixes]; a fix that is written again in the next rows because the receiver is slower than the log, for up to
@@ -19,7 +20,8 @@ Rules, in this order. Their keys in `Run.repairs` are given in brackets; a key i
    there voltage, current and power change evenly from one reading to the next (`joulemap.model.runs.held_readings`).
    Elsewhere a voltage or current is a spike if it differs from the median of the eleven samples around it by more
    than six times their spread plus a share of the run's median, a quarter for voltage and one for current, and the
-   run has no such value elsewhere [voltage_spikes, current_spikes]. Spikes and blanks [blank_voltage, blank_current]
+   run has no such value elsewhere, for one row or less than half a second, because vehicles brake and start for longer
+   [voltage_spikes, current_spikes]. Spikes and blanks [blank_voltage, blank_current]
    are replaced by straight lines in time.
 7. If a single current or power is mostly negative, it counts discharge as negative, and its sign is changed
    [current_sign_flipped, power_sign_flipped]. The currents of several motors are summed with the sign of power; where
@@ -33,8 +35,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -45,150 +48,16 @@ from joulemap.model.runs.electric import Currents, electric
 from joulemap.model.runs.fixes import positions, usable_fixes
 from joulemap.model.runs.logs import read_log
 from joulemap.model.runs.mapping import CAPACITY
+from joulemap.model.runs.odometry import Odometry, with_track
 from joulemap.model.runs.reckoning import fill_by_wheels
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.table import LEAST_ROWS, LIMITS, TableLimits, add_count, columns_there
+from joulemap.model.runs.table_columns import Table
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class Run:
-    """One measured run, cleaned.
-
-    Attributes
-    ----------
-    name : str
-        Of the run.
-    t : ndarray of float, (n,)
-        Stamps [s], strictly increasing.
-    x, y : ndarray of float, (n,)
-        Position [m] in the heightmap's CRS, NaN where the fix is not used.
-    current_a : ndarray of float, (n,)
-        Current [A], positive while the battery discharges; NaN if only power was recorded.
-    voltage_v : ndarray of float, (n,), optional
-        Voltage [V]; None if it was not recorded.
-    extras : dict of str to ndarray of float, (n,)
-        Further columns of numbers as recorded; NaN is blank.
-    texts : dict of str to ndarray of str, (n,)
-        Columns of text.
-    breaks : ndarray of bool, (n,)
-        True where the position jumped between this row and the one before.
-    repairs : dict
-        Count by rule.
-    power_w : ndarray of float, (n,), optional
-        Power [W] drawn from the battery, where it was recorded itself.
-    currents : {"signed", "magnitude"}, optional
-        How the currents of several motors were summed; None where the log leaves no choice.
-    of_motors : bool
-        Whether the current is the sum of those of several motors.
-    reading : dict of str to str
-        By joulemap's column that the log has under another name or in another unit: what was taken, with its unit.
-    notes : tuple of str
-        What is to be known of the file: that it was cut off, for example.
-    placed : bool
-        Whether positions are places. False where the log has a distance only: then x is 0, and y is the distance.
-    unknown_s : float
-        Time in which what is drawn was not measured, and is interpolated [s].
-    whole_j : tuple of float, optional
-        Energy of the whole run and its standard deviation [J], where a state of charge is all that was logged.
-    confidence : dict of str to float
-        By joulemap's column, how sure it is that it was recognised rightly, 0 to 1.
-    """
-
-    name: str
-    t: FloatArray
-    x: FloatArray
-    y: FloatArray
-    current_a: FloatArray
-    voltage_v: FloatArray | None
-    extras: dict[str, FloatArray] = field(default_factory=dict)
-    texts: dict[str, NDArray[np.str_]] = field(default_factory=dict)
-    breaks: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    repairs: dict[str, int] = field(default_factory=dict)
-    power_w: FloatArray | None = None
-    currents: Currents | None = None
-    of_motors: bool = False
-    reading: dict[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    placed: bool = True
-    unknown_s: float = 0.0
-    whole_j: tuple[float, float] | None = None
-    confidence: dict[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.breaks.size != self.t.size:
-            object.__setattr__(self, "breaks", np.zeros(self.t.size, dtype=bool))
-
-    def __len__(self) -> int:
-        return int(self.t.size)
-
-    @property
-    def has_energy(self) -> bool:
-        """Whether energy is known, and not charge alone."""
-        return self.power_w is not None or self.voltage_v is not None or self.whole_j is not None
-
-    def energy(self) -> tuple[float, float]:
-        """Return the energy of the whole run.
-
-        Returns
-        -------
-        tuple of float
-            Energy and its standard deviation as far as it is that of readings that are rounded [J].
-
-        Raises
-        ------
-        RunsError
-            If there is neither a power, nor a current with a voltage, nor a state of charge.
-        """
-        if self.whole_j is not None:
-            return self.whole_j
-        power = self.drawn()
-        return float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(self.t))), 0.0
-
-    def drawn(self, *, charge: bool = False) -> FloatArray:
-        """Return what is drawn from the battery.
-
-        Parameters
-        ----------
-        charge : bool
-            The current instead of the power.
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Power [W], or current [A].
-
-        Raises
-        ------
-        RunsError
-            If that is not known.
-        """
-        if self.whole_j is not None:
-            raise RunsError(
-                f"run {self.name}: a state of charge says the energy of the whole drive, and not that of a metre",
-                run=self.name,
-            )
-        if charge:
-            if np.isnan(self.current_a).all():
-                raise RunsError(f"run {self.name}: power was recorded and no current, so its charge is not known")
-            return self.current_a
-        if self.power_w is not None:
-            return self.power_w
-        if self.voltage_v is None:
-            raise RunsError(f"run {self.name}: no voltage was recorded; ask for charge [A s] instead", run=self.name)
-        return self.current_a * self.voltage_v
-
-
-def read_run(
-    path: str | Path,
-    *,
-    name: str | None = None,
-    crs: str | None = None,
-    currents: Currents = "auto",
-    limits: TableLimits = LIMITS,
-    mapping: Mapping[str, str] | None = None,
-) -> Run:
+def read_run(path: str | Path, *, name: str | None = None, **options: Any) -> Run:
     """Read a run from a file of any format that is known.
 
     It needs the columns `t` [s], `x` and `y` [m] (or `lat` and `lon` [deg] with the map's `crs`), and `current`,
@@ -201,14 +70,8 @@ def read_run(
         Of the file.
     name : str, optional
         Of the run; without it, that of the file.
-    crs : str, optional
-        The heightmap's CRS, needed for `lat` and `lon`.
-    currents : {"auto", "signed", "magnitude"}
-        How the currents of several motors are summed (`joulemap.model.runs.electric`).
-    limits : TableLimits, optional
-        How large the table may be.
-    mapping : mapping of str to str, optional
-        Where joulemap's columns are taken from, as `joulemap.model.runs.mapping.read_mapping` returns it.
+    **options
+        As of `parse_run`.
 
     Returns
     -------
@@ -223,7 +86,7 @@ def read_run(
         If it is larger than the limits.
     """
     path = Path(path)
-    return parse_run(path, name=name or path.name, crs=crs, currents=currents, limits=limits, mapping=mapping)
+    return parse_run(path, name=name or path.name, **options)
 
 
 def parse_run(
@@ -232,6 +95,7 @@ def parse_run(
     name: str,
     crs: str | None = None,
     currents: Currents = "auto",
+    odometry: Odometry | None = None,
     limits: TableLimits = LIMITS,
     mapping: Mapping[str, str] | None = None,
 ) -> Run:
@@ -244,13 +108,15 @@ def parse_run(
     name : str
         Of the run.
     crs : str, optional
-        As in `read_run`.
+        The heightmap's CRS, needed for `lat` and `lon`.
     currents : {"auto", "signed", "magnitude"}
-        As in `read_run`.
+        How the currents of several motors are summed (`joulemap.model.runs.electric`).
+    odometry : Odometry, optional
+        How its wheel speeds become a track, of a log without positions.
     limits : TableLimits, optional
-        As in `read_run`.
+        How large the table may be.
     mapping : mapping of str to str, optional
-        As in `read_run`.
+        Where joulemap's columns are taken from, as `joulemap.model.runs.mapping.read_mapping` returns it.
 
     Returns
     -------
@@ -266,7 +132,15 @@ def parse_run(
     """
     repairs: dict[str, int] = {}
     table = read_log(content, name, repairs, limits=limits, mapping=mapping)
-    run = run_of(table.numbers, table.texts, name=name, crs=crs, repairs=repairs, currents=currents)
+    return run_of_table(table, name=name, crs=crs, repairs=repairs, currents=currents, odometry=odometry)
+
+
+def run_of_table(table: Table, *, name: str, odometry: Odometry | None = None, **options: Any) -> Run:
+    """Make a run of a log that is read already, which stays as it is. `options`: of `run_of`."""
+    numbers, texts = dict(table.numbers), dict(table.texts)
+    if odometry is not None:
+        with_track(numbers, texts, odometry, name)
+    run = run_of(numbers, texts, name=name, **options)
     return replace(run, reading=table.reading, notes=(*table.notes, *run.notes), confidence=table.confidence)
 
 
@@ -279,32 +153,9 @@ def run_of(
     repairs: dict[str, int] | None = None,
     currents: Currents = "auto",
 ) -> Run:
-    """Make a run of columns that are read already.
+    """Make a run of columns that are read already, which are changed.
 
-    Parameters
-    ----------
-    numbers : dict of str to ndarray of float, (n,)
-        Columns of numbers, NaN where blank.
-    texts : dict of str to ndarray of str, (n,)
-        Columns of text.
-    name : str
-        Of the run.
-    crs : str, optional
-        As in `read_run`.
-    repairs : dict, optional
-        What was counted while they were read.
-    currents : {"auto", "signed", "magnitude"}
-        As in `read_run`.
-
-    Returns
-    -------
-    Run
-        As `read_run`.
-
-    Raises
-    ------
-    RunsError
-        As `read_run`.
+    `numbers`, `texts` (n,): NaN where blank; `repairs`: what was counted while they were read.
     """
     repairs = {} if repairs is None else repairs
     if "t" in texts:

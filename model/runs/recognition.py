@@ -22,16 +22,18 @@ from joulemap.model.runs.names import (
     Candidate,
     candidate,
     motor_current,
+    part_of,
     ruled_out,
     wheel_speed,
 )
-from joulemap.model.runs.table import LEAST_ROWS, FloatArray
+from joulemap.model.runs.table import LEAST_ROWS, FloatArray, spread
 from joulemap.model.runs.units import known_unit, quantity_of, unit_in_name
 
 CONFIDENCE = {NAMED: 0.99, LIKELY: 0.95, POSSIBLE: 0.7, 0: 0.6}
 """Of a reading by its name alone; 0 is a column that only its unit points to."""
 _MAY_BE_CONSTANT = ("voltage", "z", "soc", "t")
 _BY_UNIT = {"t": ("s", "ms"), "voltage": ("V", "mV"), "current": ("A", "mA"), "speed": ("km/h", "m/s", "mph")}
+_RISES = 0.5  # of the steps of a time, less those in which it falls
 _AGREE = 0.2  # of power with voltage times current, in the median
 
 
@@ -72,13 +74,22 @@ def recognised(stream: Stream, mapping: Mapping[str, str], name: str) -> Recogni
     for target in ("t", "lat", "lon", "x", "y", "z", "distance", "energy", "charge", "soc", "heading"):
         if not replaced(target, mapping):
             _choose(target, stream, found)
+    if "x" in found.chosen and not {"t", "y"} & {*found.chosen, *found.questions}:
+        _take_axis(stream, found)
     _choose_speeds(stream, mapping, found)
-    _choose_electric(stream, mapping, found)
+    if stream.packs:
+        found.packs = [(Source(((1, volt),)), Source(((1, amp),))) for volt, amp in stream.packs]
+        found.confidence["power"] = CONFIDENCE[NAMED]
+    else:
+        _choose_electric(stream, mapping, found)
     for target in ("t", "voltage", "current", "speed"):
         if not replaced(target, mapping) and not (target == "current" and "power" in found.chosen):
             _by_unit(target, stream, found)
     if {"x", "y"} <= found.chosen.keys() and not {"lat", "lon"} <= mapping.keys():
-        found.chosen.pop("lat", None), found.chosen.pop("lon", None)
+        standing = not {"x", "y"} & mapping.keys() and not _moves(stream, found, ("x", "y"))
+        given_up = ("x", "y") if standing and _moves(stream, found, ("lat", "lon")) else ("lat", "lon")
+        for target in given_up:
+            found.chosen.pop(target, None)
     for one, other in (("x", "y"), ("lat", "lon")):
         if (one in found.chosen) != (other in found.chosen) and {"lat", "lon"} <= found.chosen.keys():
             found.chosen.pop(one, None), found.chosen.pop(other, None)
@@ -113,7 +124,11 @@ def _candidates(target: str, stream: Stream, taken: Collection[str]) -> list[Can
             found.append(Candidate(column, unit, each.sureness if each is not None else 0))
         elif (each := candidate(target, column, unit)) is not None:
             found.append(each)
-    speaking = [each for each in found if each.unit == DATE or _speaks(target, stream.numbers[each.column])] or found
+    speaking = [each for each in found if each.unit == DATE or _speaks(target, stream.numbers[each.column])]
+    if target not in ("lat", "lon"):  # nothing but zeros, as receivers without a fix write, is no position
+        speaking = speaking or found
+    if target in ("lat", "lon", "x", "y"):  # a receiver without a fix writes the same in every row
+        speaking = [each for each in speaking if spread(stream.numbers[each.column])] or speaking
     if target == "t" and any(each.sureness for each in speaking):
         speaking = [each for each in speaking if each.sureness]
     own = [each for each in speaking if each.column == target or each.column.startswith(f"{target} (")]  # or it twice
@@ -155,6 +170,8 @@ def _choose(target: str, stream: Stream, found: Recognised, *, least: int = 0) -
     tied = _first(candidates, stream.numbers)
     if target == "t" and len(tied) > 1:
         tied = _time_of(tied, stream)
+    if target == "t" and len(tied) == 1:
+        tied = [_finer(tied[0], candidates, stream.numbers)]
     if len(tied) == 1 or [each.unit for each in tied] == [DATE, CLOCK]:
         _take(target, tied, found)
     elif tied and target == "z":
@@ -182,8 +199,17 @@ def _time_of(tied: Sequence[Candidate], stream: Stream) -> list[Candidate]:
         return whole[:1]
     if dates and clocks:
         return [dates[0], clocks[0]]
-    rising = sorted(tied, key=lambda each: -_rises(stream.numbers[each.column]))
-    return rising[:1] if clocks or _rises(stream.numbers[rising[0].column]) > 0.5 else list(tied)
+    rising = sorted(tied, key=lambda each: -_rises(values := stream.numbers[each.column]) * np.isfinite(values).sum())
+    return rising[:1] if clocks or _rises(stream.numbers[rising[0].column]) > _RISES else list(tied)
+
+
+def _finer(usual: Candidate, candidates: Sequence[Candidate], numbers: Mapping[str, FloatArray]) -> Candidate:
+    """Beside a time that repeats, such as one in whole minutes, another that has at least twice as many values."""
+    count = {
+        each.column: np.unique(numbers[each.column][np.isfinite(numbers[each.column])]).size for each in candidates
+    }
+    most = max(candidates, key=lambda each: count[each.column] * (_rises(numbers[each.column]) > _RISES))
+    return most if count[most.column] >= 2 * count[usual.column] else usual
 
 
 def _resolves(seconds: FloatArray) -> bool:
@@ -195,6 +221,22 @@ def _resolves(seconds: FloatArray) -> bool:
 def _rises(values: FloatArray) -> float:
     steps = np.diff(values[np.isfinite(values)])
     return float(np.mean(steps > 0)) - float(np.mean(steps < 0)) if steps.size else 0.0
+
+
+def _moves(stream: Stream, found: Recognised, pair: tuple[str, str]) -> bool:
+    """Whether a place is known, and not the same in every row."""
+    columns = [found.chosen[target].columns[0] for target in pair if target in found.chosen]
+    return len(columns) == 2 and any(spread(stream.numbers[column]) for column in columns if column in stream.numbers)
+
+
+def _take_axis(stream: Stream, found: Recognised) -> None:
+    """A lone `x` that rises in every row is the axis of a plot: the time, in seconds."""
+    source = found.chosen["x"]
+    values = stream.numbers[source.columns[0]]
+    if _rises(values) == 1.0 and source.unit in ("", "s"):
+        found.chosen["t"] = Source(found.chosen.pop("x").parts, "s")
+        found.confidence["t"] = min(found.confidence.pop("x"), CONFIDENCE[POSSIBLE])
+        found.notes.append(f"`t` is taken from {source.columns[0][:60]}, in seconds: it rises, and there is no y")
 
 
 def _choose_speeds(stream: Stream, mapping: Mapping[str, str], found: Recognised) -> None:
@@ -226,7 +268,7 @@ def _choose_electric(stream: Stream, mapping: Mapping[str, str], found: Recognis
         _take_motors(stream, taken, found)
     tied = {key: _first(each, numbers) for key, each in of.items()}
     several = len(tied["voltage"]) > 1 or len(tied["current"]) > 1
-    if several and not _take_agreeing(tied, numbers):
+    if several and not _take_agreeing(tied, numbers) and not _take_of_one_part(tied):
         _take_packs(tied, found)
     for key, each in tied.items():
         if key in chosen or not each or (found.packs and key in ("voltage", "current")):
@@ -272,6 +314,20 @@ def _take_agreeing(tied: dict[str, list[Candidate]], numbers: Mapping[str, Float
     if best is None or pairs[best] > _AGREE:
         return False
     tied["voltage"], tied["current"] = [best[0]], [best[1]]
+    return True
+
+
+def _take_of_one_part(tied: dict[str, list[Candidate]]) -> bool:
+    """The one voltage and current whose names say the same part: PackVolt and PackAmps beside BatteryVolt."""
+    pairs = [
+        (v, i)
+        for v in tied["voltage"]
+        for i in tied["current"]
+        if part_of("voltage", v.column) == part_of("current", i.column)
+    ]
+    if len(pairs) != 1 or min(len(tied["voltage"]), len(tied["current"])) > 1:
+        return False
+    tied["voltage"], tied["current"] = ([each] for each in pairs[0])
     return True
 
 

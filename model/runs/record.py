@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import zlib
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -14,10 +18,11 @@ from joulemap.model.runs.features import Features, row_arrays
 from joulemap.model.runs.residuals import Residuals
 
 RECORD_FILE = "base_runs.npz"
+_INSTEAD = "restore the file, train the model again, or name the baseline runs in the calibration"
 
 
-def save_record(folder: str | Path, residuals: Residuals) -> None:
-    """Write `base_runs.npz` into a model's folder."""
+def save_record(folder: str | Path, residuals: Residuals) -> str:
+    """Write `base_runs.npz` into a model's folder. Result: its SHA-256."""
     rows = residuals.features
     arrays: dict[str, Any] = {name: getattr(rows, name) for name in row_arrays()}
     arrays |= {f"column:{key}": values for key, values in rows.columns.items()}
@@ -25,16 +30,27 @@ def save_record(folder: str | Path, residuals: Residuals) -> None:
     arrays["measured"], arrays["said"] = residuals.measured, residuals.said
     about = {"robot": rows.robot.as_dict(), "unit_j": rows.unit_j, "names": rows.runs, "charge": residuals.charge}
     about["runs"] = residuals.runs
-    np.savez_compressed(Path(folder) / RECORD_FILE, about=np.array(json.dumps(about)), **arrays)
+    path = Path(folder) / RECORD_FILE
+    np.savez_compressed(path, about=np.array(json.dumps(about)), **arrays)
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def read_record(folder: str | Path) -> Residuals | None:
-    """Read the runs a model was made from. Result: None where the folder has no record."""
+def read_record(folder: str | Path, *, kept: str | None = None) -> Residuals | None:
+    """Read the runs a model was made from.
+
+    `kept`: SHA-256 of the record that was written with the model. Result: None where the folder has no record, and none
+    was written.
+    """
     path = Path(folder) / RECORD_FILE
     if not path.is_file():
-        return None
+        if kept is None:
+            return None
+        raise ModelError(f"{path} is missing, the runs that this model was trained on: {_INSTEAD}", path=str(path))
     try:
-        with np.load(path, allow_pickle=False) as file:
+        content = path.read_bytes()
+        if kept not in (None, hashlib.sha256(content).hexdigest()):
+            raise ModelError(f"{path} is damaged, or of another training than the model: {_INSTEAD}", path=str(path))
+        with np.load(BytesIO(content), allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
         about = json.loads(str(arrays.pop("about")))
         columns = {k.removeprefix("column:"): arrays.pop(k) for k in list(arrays) if k.startswith("column:")}
@@ -57,5 +73,5 @@ def read_record(folder: str | Path) -> Residuals | None:
             runs=tuple(about["names"]),
         )
         return Residuals(rows, measured, tuple(about["runs"]), bool(about["charge"]), said)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, BadZipFile, zlib.error) as error:
         raise ModelError(f"{path} is damaged: {error!r}") from error

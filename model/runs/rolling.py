@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.runs.arcs import STILL_M, STOP_S, equal_parts, rows_missing, station_at, stops_of
-from joulemap.model.runs.reader import Run
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.smoothing import smooth
-from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 FloatArray = NDArray[np.float64]
 
@@ -103,9 +102,6 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
         driven_m=_between(arc),
         heading_change_rad=_between(_summed(step)),
         turned_abs_rad=_between(_summed(np.abs(step))),
-        gentle_turn_rad=np.stack(
-            [_between(_summed(np.minimum(np.abs(step), limit * dt))) for limit in TURN_LIMITS_RADPS], axis=1
-        ),
         gained_m2ps2=_between(_summed(np.maximum(np.where(dt > 0, np.diff(half_square), 0.0), 0.0))),
         kinetic_m2ps2=_between(half_square),
         standing_s=_between(_summed(np.where(still[1:] & still[:-1], dt, 0.0))),

@@ -4,26 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import InputError
+from joulemap.model.runs.reckoning import WHEELS
 from joulemap.model.runs.table import add_count
 
 FloatArray = NDArray[np.float64]
 
 _ROLLED_SHARE = 0.5  # wheels that slip roll more than the track; half of it is no calibration error of a wheel speed
-_WHEELS = {
-    "speed_left": 1.0,
-    "speed_right": 1.0,
-    "velL": 1.0,
-    "velR": 1.0,
-    "wheel_left_rad_s": 1.0,
-    "wheel_right_rad_s": 1.0,
-}
-"""Columns of wheel speeds -> metres per unit; no wheel has a radius above 1 m."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +41,6 @@ class Segments:
         Standard deviation of `heading_change_rad`; NaN where it is not known.
     turned_abs_rad : ndarray of float, (n,)
         Turns to both sides, added up.
-    gentle_turn_rad : ndarray of float, (n, 7)
-        The same, where a rate of turning counts only up to each of `track.TURN_LIMITS_RADPS`.
     gained_m2ps2 : ndarray of float, (n,)
         Sum of the increases of half the squared speed between p and q [m^2/s^2]; decreases do not count.
     kinetic_m2ps2 : ndarray of float, (n,)
@@ -97,7 +88,6 @@ class Segments:
     driven_m: FloatArray
     heading_change_rad: FloatArray
     turned_abs_rad: FloatArray
-    gentle_turn_rad: FloatArray
     gained_m2ps2: FloatArray
     kinetic_m2ps2: FloatArray
     standing_s: FloatArray
@@ -234,7 +224,8 @@ def driven_only(segments: Segments) -> Segments:
     Segments
         Of the runs that were driven.
     """
-    wheels = [metres * np.abs(segments.extras[key]) for key, metres in _WHEELS.items() if key in segments.extras]
+    # metres, or radians: no wheel has a radius above 1 m
+    wheels = [np.abs(segments.extras[key]) for key in chain(*WHEELS) if key in segments.extras]
     if not wheels:
         return segments
     rolled = np.max(wheels, axis=0) * segments.duration_s  # NaN where a side is not known

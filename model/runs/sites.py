@@ -14,7 +14,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_place, check_units
 from joulemap.model.runs.files import distinct_names, read_segments
 from joulemap.model.runs.odometry import Odometry
-from joulemap.model.runs.reader import Run
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments, concatenate_segments
 from joulemap.model.terrain.heightmap import Heightmap
 

@@ -100,3 +100,9 @@ def usable(numbers: dict[str, FloatArray]) -> dict[str, FloatArray]:
     `numbers` is (n,). Result (n,): NaN for blank, nan, inf and what is too large.
     """
     return {column: np.where(np.abs(values) <= LARGEST, values, np.nan) for column, values in numbers.items()}
+
+
+def spread(values: FloatArray) -> float:
+    """Return the range of the known values of a column (n,); 0 where none is known."""
+    known = values[np.isfinite(values)]
+    return float(np.ptp(known)) if known.size else 0.0

@@ -6,31 +6,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import wrap_angle
-from joulemap.model.runs.reader import Run
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
 
 FloatArray = NDArray[np.float64]
 
-TURN_LIMITS_RADPS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8)
-"""Limits up to which a gentle turn counts how fast a robot turns."""
 
-
-def turns_between(t: FloatArray, heading: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def turns_between(heading: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the heading change of segments, followed through every sample.
 
-    `t` (m,): stamps [s]; `heading` (m,): at these stamps [rad]; `ends` (n, 2): fractional positions of p and q. Result:
-    signed [rad], positive to the right, (n,); absolute, (n,); and absolute, where a rate counts only up to each of
-    `TURN_LIMITS_RADPS`, (n, limits).
+    `heading` (m,): of every sample [rad]; `ends` (n, 2): fractional positions of p and q. Result: signed [rad],
+    positive to the right, (n,); and absolute, (n,).
     """
-    step, dt = wrap_angle(np.diff(heading)), np.diff(t)
-    station = np.arange(t.size, dtype=np.float64)
+    step = wrap_angle(np.diff(heading))
+    station = np.arange(heading.size, dtype=np.float64)
 
     def _between(steps: FloatArray) -> FloatArray:
         total = np.concatenate([[0.0], np.cumsum(steps)])
         return np.interp(ends[:, 1], station, total) - np.interp(ends[:, 0], station, total)
 
-    gentle = [_between(np.minimum(np.abs(step), limit * dt)) for limit in TURN_LIMITS_RADPS]
-    return _between(step), _between(np.abs(step)), np.stack(gentle, axis=1)
+    return _between(step), _between(np.abs(step))
 
 
 def track_speeds(

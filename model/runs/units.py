@@ -4,20 +4,38 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 from joulemap.model.errors import RunsError
 
 _FACTORS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0},
-    "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3, "km": 1e3, "ft": 0.3048, "mi": 1609.344},
-    "angle": {"deg": 1.0, "rad": math.degrees(1.0), "degE7": 1e-7, "semicircles": 180.0 / 2**31},
+    "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3, "km": 1e3, "ft": 0.3048, "in": 0.0254, "mi": 1609.344},
+    "angle": {
+        "deg": 1.0,
+        "rad": math.degrees(1.0),
+        "degE7": 1e-7,
+        "semicircles": 180.0 / 2**31,
+        "arcmin": 1 / 60,
+        "arcmin west": -1 / 60,
+    },
     "voltage": {"V": 1.0, "mV": 1e-3, "cV": 0.01, "dV": 0.1},
     "current": {"A": 1.0, "mA": 1e-3, "cA": 0.01, "dA": 0.1},
-    "power": {"W": 1.0, "kW": 1e3, "mW": 1e-3},
+    "power": {"W": 1.0, "kW": 1e3, "mW": 1e-3, "PS": 735.49875, "hp": 745.69987},
     "energy": {"J": 1.0, "kJ": 1e3, "Wh": 3.6e3, "kWh": 3.6e6, "mWh": 3.6},
     "charge": {"As": 1.0, "Ah": 3.6e3, "mAh": 3.6},
     "share": {"%": 1.0},
-    "speed": {"m/s": 1.0, "cm/s": 0.01, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0},
+    "speed": {
+        "m/s": 1.0,
+        "cm/s": 0.01,
+        "mm/s": 1e-3,
+        "km/h": 1 / 3.6,
+        "mph": 0.44704,
+        "in/s": 0.0254,
+        "ft/s": 0.3048,
+        "m/min": 1 / 60,
+        "kn": 1852.0 / 3600.0,
+    },
     "temperature": {"degC": 1.0, "degF": 5.0 / 9.0, "K": 1.0},
     "mass": {"kg": 1.0, "g": 1e-3, "lb": 0.45359237},
 }
@@ -50,20 +68,23 @@ _SPELLINGS = {
         "s": "sec secs second seconds",
         "ms": "msec millis milliseconds",
         "us": "usec µs micros",
-        "ns": "nsec nanos nanoseconds",
+        "ns": "nsec nsecs nanos nanosec nanoseconds",
         "d": "days",
         "m": "meter meters metres",
         "km": "kilometers",
         "ft": "feet",
+        "in": "inch inches",
+        "in/s": "ips",
         "mi": "miles",
-        "deg": "° degrees",
+        "deg": "° degrees degrees_north degrees_east",
         "rad": "radians",
         "degE7": "e7 1e7",
         "V": "volt volts",
         "A": "amp amps ampere",
         "W": "watt watts",
+        "J": "joule joules",
         "%": "percent pct",
-        "m/s": "mps m_s m/sec meters/second",
+        "m/s": "mps m_s m/sec meters/second m.s-1",
         "km/h": "kmh kph km_h km/hr",
         "mph": "mi/h miles/hour",
         "kn": "knots",
@@ -74,6 +95,7 @@ _SPELLINGS = {
     for word in words.split()
 }
 _PHRASES = (
+    (re.compile(r'"?\|"?([^|"]+)"?(?:\|[^|]*)*$'), r" [\1]"),  # name|unit|lowest|highest|rate
     (re.compile(r"(?i)[\W_]*(?:met(?:er|re)s?|m)_?[ ]?per_?[ ]?s(?:ec(?:ond)?)?$"), " [m/s]"),
     (re.compile(r"(?i)[\W_]*k(?:ilo)?m(?:eters?)?_?[ ]?per_?[ ]?h(?:our)?$"), " [km/h]"),
     (re.compile(r"(?i)[\W_]*mi(?:les)?_?[ ]?per_?[ ]?h(?:our)?$"), " [mph]"),
@@ -81,7 +103,9 @@ _PHRASES = (
     (re.compile(r"(?i)(?<![a-z])watt[ _]?hours?"), "Wh"),
     (re.compile(r"(?i)(?<![a-z])amp(?:ere)?[ _]?hours?"), "Ah"),
 )
-"""Units that are written out."""
+"""Units that are written out, or with bars."""
+PER_ROW, COUNTED = "/row", ("distance", "energy", "charge")
+"""What a unit ends with where each row says what came since the row before, and the columns that may have it."""
 _BRACKETED = re.compile(r"^(.*?)[\s_]*[\[(]\s*([^\])]+?)\s*[\])]\s*$")
 
 
@@ -106,8 +130,12 @@ def known_unit(target: str, word: str) -> str | None:
 
     Result: a key of `UNITS`, or the number; None where the quantity has no such unit.
     """
+    if word.endswith(PER_ROW):
+        whole = known_unit(target, word.removesuffix(PER_ROW)) if target in COUNTED else None
+        return whole if whole is None else whole + PER_ROW
     quantity = quantity_of(target)
     units = UNITS.get(quantity or "", {})
+    word = word.replace(" s-1", "/s").replace(" h-1", "/h")  # of the CF conventions
     for found in (word, _SPELLINGS.get(word), _SPELLINGS.get(word.lower()), word.lower()):
         if found in units:
             return found
@@ -117,9 +145,22 @@ def known_unit(target: str, word: str) -> str | None:
     return word if _factor(word) is not None else None
 
 
+def common_unit(words: Sequence[str]) -> tuple[str, list[float]]:
+    """Return the unit of a quantity that has all of these units, and how many of it each is; none where there is none.
+
+    `words`: such as `W` and `kW`.
+    """
+    for target in ("power", "current", "voltage", "energy", "charge", "speed", "x", "t"):
+        units = [known_unit(target, word) for word in words]
+        if all(unit is not None and _factor(unit) is None for unit in units):
+            return own_unit(target), [conversion(target, str(unit))[0] for unit in units]
+    return "", []
+
+
 def conversion(target: str, unit: str) -> tuple[float, float]:
     """Return how values in a unit become joulemap's. Result: factor, and the offset that is added after it."""
     units = UNITS.get(quantity_of(target) or "", {})
+    unit = unit.removesuffix(PER_ROW)
     if unit in units:
         return units[unit]
     factor = _factor(unit)

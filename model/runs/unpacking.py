@@ -1,10 +1,12 @@
-"""Logs that are packed one by one: gzip, and a zip of one file."""
+"""Logs that are packed: gzip, and a zip of one file or of the tables of one recording."""
 
 from __future__ import annotations
 
 import gzip
 import zipfile
 import zlib
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import PurePath
 from typing import IO
 
@@ -15,7 +17,9 @@ _HEAD_BYTES = 512
 _LARGEST_RATIO = 200  # of a text of numbers; it packs to a third or a tenth
 _ALWAYS_BYTES = 1 << 24
 _LARGEST_BYTES = 1 << 32
-_BAG_PARTS = (".mcap", ".db3", ".zstd", ".yaml")
+MOST_TABLES = 100
+"""Of one recording: it has no more topics that a run needs."""
+_ARRAYS_OR_BAG = (".npy", ".mcap", ".db3", ".zstd", ".yaml")
 
 
 def unpacked(source: SourceFile) -> SourceFile:
@@ -30,23 +34,36 @@ def unpacked(source: SourceFile) -> SourceFile:
             with zipfile.ZipFile(stream) as archive:
                 files = [member for member in archive.infolist() if not member.is_dir()]
                 names = [PurePath(member.filename).name for member in files]
-                if any(name.lower().endswith(_BAG_PARTS) for name in names):
+                if any(name.lower().endswith(_ARRAYS_OR_BAG) for name in names):
                     return source
                 if "[Content_Types].xml" in names:
                     raise RunsError(f"run {source.name} is a spreadsheet: save the sheet as CSV", run=source.name)
-                if len(files) != 1:
+                if not 0 < len(files) <= MOST_TABLES:
                     listed = ", ".join(names[:5])[:200] or "nothing"
                     raise RunsError(f"run {source.name} holds {listed}: unpack it, and give one log", run=source.name)
-                with archive.open(files[0]) as inside:
-                    return _read(source, inside, names[0])
+                if len(set(names)) < len(names):
+                    raise RunsError(
+                        f"run {source.name} holds several files of the same name: unpack it, and give each log alone",
+                        run=source.name,
+                    )
+                first, *rest = _all(source, archive, files)
+                return replace(first, beside=tuple((each.name, bytes(each.place)) for each in rest))
     except (OSError, EOFError, zlib.error, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
         raise RunsError(f"run {source.name}: not a readable archive: {str(error)[:200]}", run=source.name) from error
 
 
-def _read(source: SourceFile, stream: IO[bytes] | gzip.GzipFile, name: str) -> SourceFile:
+def _all(source: SourceFile, archive: zipfile.ZipFile, files: Sequence[zipfile.ZipInfo]) -> list[SourceFile]:
+    found = list[SourceFile]()
+    for member in files:
+        with archive.open(member) as inside:
+            found.append(_read(source, inside, PurePath(member.filename).name, sum(each.size_bytes for each in found)))
+    return found
+
+
+def _read(source: SourceFile, stream: IO[bytes] | gzip.GzipFile, name: str, before: int = 0) -> SourceFile:
     most = min(_LARGEST_RATIO * source.size_bytes + _ALWAYS_BYTES, _LARGEST_BYTES)
-    content = stream.read(most + 1)
-    if len(content) > most:
+    content = stream.read(most - before + 1)
+    if len(content) + before > most:
         raise TooLargeError(
             f"run {source.name} unpacks to more than {most:,} bytes", run=source.name, bytes=len(content), limit=most
         )

@@ -14,8 +14,9 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.arcs import segment_length
 from joulemap.model.runs.held_readings import between_readings
 from joulemap.model.runs.logs import read_log
-from joulemap.model.runs.odometry import Odometry, flat_heightmap, read_odometry
-from joulemap.model.runs.reader import Run, run_of
+from joulemap.model.runs.odometry import Odometry, flat_heightmap
+from joulemap.model.runs.reader import run_of_table
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.heightmap import Heightmap
 
@@ -60,12 +61,10 @@ def sites_without_map(
 
 
 def _read(file: Path, odometry: Odometry | None) -> Run:
-    if odometry is not None:
-        return read_odometry(file, odometry)
     table = read_log(file, file.name, {})
-    if {"x", "y"} <= table.numbers.keys() or {"lat", "lon"} <= table.numbers.keys():
+    if odometry is None and ({"x", "y"} <= table.numbers.keys() or {"lat", "lon"} <= table.numbers.keys()):
         raise InputError(f"the run {file.name} has positions: give the heightmap on which it was driven")
-    return run_of(table.numbers, table.texts, name=file.name)
+    return run_of_table(table, name=file.name, odometry=odometry)
 
 
 def ground_of_profile(run: Run, *, length_m: float = 1.0) -> Heightmap:

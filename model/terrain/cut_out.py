@@ -27,15 +27,9 @@ _LEAST_CELLS = 2
 
 @dataclass(frozen=True)
 class Cells:
-    """The cells of a map that a window holds.
+    """The cells of a map that a window holds."""
 
-    Attributes
-    ----------
-    row0, row1, col0, col1 : int
-        Rows [row0, row1) and columns [col0, col1).
-    """
-
-    row0: int
+    row0: int  # Rows [row0, row1) and columns [col0, col1)
     row1: int
     col0: int
     col1: int
@@ -119,18 +113,10 @@ def transform_of(frame: GridFrame) -> Affine:
 
 @dataclass(frozen=True)
 class PartReader:
-    """A part of a file that is read by windows.
+    """A part of a file that is read by windows."""
 
-    Attributes
-    ----------
-    whole : WindowReader
-        The file.
-    cells : Cells
-        The part.
-    """
-
-    whole: WindowReader
-    cells: Cells
+    whole: WindowReader  # The file
+    cells: Cells  # The part
 
     @property
     def shape(self) -> tuple[int, int]:

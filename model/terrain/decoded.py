@@ -28,28 +28,14 @@ SAME_LENGTH = 1e-3
 
 @dataclass(frozen=True)
 class Decoded:
-    """Heights and their place, as a file states them.
+    """Heights and their place, as a file states them."""
 
-    Attributes
-    ----------
-    heights : ndarray of float32, (rows, cols)
-        Heights [m], row 0 in the north, NaN where unknown.
-    west_m, north_m : float or None
-        Outer edges of the north-west cell [m], None where the file does not say.
-    resolution_m : float or None
-        Side of a cell [m], None where the file does not say.
-    crs : str or None
-        "EPSG:n" or WKT, None where the file does not say.
-    notes : tuple of str
-        What is to be known of the file.
-    """
-
-    heights: NDArray[np.float32]
-    west_m: float | None = None
+    heights: NDArray[np.float32]  # (rows, cols): Heights [m], row 0 in the north, NaN where unknown
+    west_m: float | None = None  # Outer edges of the north-west cell [m], None where the file does not say
     north_m: float | None = None
-    resolution_m: float | None = None
-    crs: str | None = None
-    notes: tuple[str, ...] = ()
+    resolution_m: float | None = None  # Side of a cell [m], None where the file does not say
+    crs: str | None = None  # "EPSG:n" or WKT, None where the file does not say
+    notes: tuple[str, ...] = ()  # What is to be known of the file
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -67,24 +53,12 @@ class Decoded:
 
 @dataclass(frozen=True)
 class Scaling:
-    """How stored values become metres: height = value * scale_m + offset_m.
+    """How stored values become metres: height = value * scale_m + offset_m."""
 
-    Attributes
-    ----------
-    scale_m : float or None
-        Metres per stored unit; None means 1, except where a format needs it said.
-    offset_m : float
-        Height of the stored value 0 [m].
-    nodata : float or None
-        Stored value of unknown cells, in addition to what the file declares.
-    cell_m : float or None
-        Side of a cell that the user wants, for formats of points, which have none.
-    """
-
-    scale_m: float | None = None
-    offset_m: float = 0.0
-    nodata: float | None = None
-    cell_m: float | None = None
+    scale_m: float | None = None  # Metres per stored unit; None means 1, except where a format needs it said
+    offset_m: float = 0.0  # Height of the stored value 0 [m]
+    nodata: float | None = None  # Stored value of unknown cells, in addition to what the file declares
+    cell_m: float | None = None  # Side of a cell that the user wants, for formats of points, which have none
 
     def __post_init__(self) -> None:
         if self.scale_m is not None and self.scale_m not in ranges.SCALE_M:

@@ -21,6 +21,7 @@ from joulemap.model.terrain.denoising import (
     hiding_noise_m,
 )
 from joulemap.model.terrain.layers import NO_LAYERS, Layers
+from joulemap.model.terrain.layers.layer import HEIGHT
 from joulemap.model.terrain.rows import share_of
 
 FloatArray = NDArray[np.float64]
@@ -128,12 +129,28 @@ class Heightmap:
             return self
         length = self.noise_length_m / self.resolution_m
         removed = hiding_noise_m(self.noise_m, length)
-        heights = denoised(self.heights, self.noise_m, length)
+        heights = self.layers.over(denoised(self.heights, self.noise_m, length), self.frame)
         return replace(self, heights=heights, given_noise_m=0.0, noise_length_m=0.0, removed_noise_m=removed)
+
+    def with_layers(self, layers: Layers) -> Heightmap:
+        """Return the map with layers in place of those that it has, but for heights: those stay, under new ones.
+
+        Parameters
+        ----------
+        layers : Layers
+            What is known of the ground.
+
+        Returns
+        -------
+        Heightmap
+            With the heights of layers that have any.
+        """
+        every = Layers((*self.layers.of(HEIGHT), *layers.each))
+        return replace(self, heights=layers.over(self.heights, self.frame), layers=every)
 
     @property
     def bare(self) -> Heightmap:
-        """The heights without layers."""
+        """The heights, with those of layers, and nothing else of layers."""
         return replace(self, layers=NO_LAYERS) if self.layers else self
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:

@@ -24,12 +24,13 @@ from rasterio.windows import Window
 from joulemap.model.errors import HeightmapError
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.crs_text import known_crs
-from joulemap.model.terrain.cut_out import WindowLike, cells_of
+from joulemap.model.terrain.cut_out import cells_of
 from joulemap.model.terrain.decoded import Scaling, check_cells
 from joulemap.model.terrain.formats import raster as rasters
 from joulemap.model.terrain.formats.contract import HeightmapFormat, WindowReader
 from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS
 from joulemap.model.terrain.formats.raster_band import Raster
+from joulemap.model.terrain.stated_frame import Reading
 from joulemap.model.terrain.target_grid import EDGE_POINTS, choose_crs, moved, new_grid, short_name
 
 _TOLERANCE_CELLS = 0.01  # of the places between which GDAL interpolates its transformation
@@ -40,40 +41,18 @@ _SCAN_CELLS = 4_000_000
 
 @dataclass(frozen=True)
 class Warped:
-    """A file as it is on the new grid: what is known without its heights, and the heights of any window.
+    """A file as it is on the new grid: what is known without its heights, and the heights of any window."""
 
-    Attributes
-    ----------
-    raster : Raster
-        The file, or a GeoTIFF of its heights.
-    source_crs, crs : str or None
-        Before and after; None where the file names none.
-    source_transform : Affine
-        Of the file's own grid.
-    transform : Affine
-        Of the new grid.
-    shape : tuple of int
-        Rows and columns of the new grid.
-    resampling : Resampling
-        How heights are interpolated.
-    nodata : float or None
-        Stored value that means unknown.
-    undeclared : bool
-        Whether nobody said which value that is, so that the usual ones are looked for.
-    notes : tuple of str
-        What was done, for people.
-    """
-
-    raster: Raster
-    source_crs: str | None
+    raster: Raster  # The file, or a GeoTIFF of its heights
+    source_crs: str | None  # Before and after; None where the file names none
     crs: str | None
-    source_transform: Affine
-    transform: Affine
-    shape: tuple[int, int]
-    resampling: Resampling
-    nodata: float | None
-    undeclared: bool
-    notes: tuple[str, ...]
+    source_transform: Affine  # Of the file's own grid
+    transform: Affine  # Of the new grid
+    shape: tuple[int, int]  # Rows and columns of the new grid
+    resampling: Resampling  # How heights are interpolated
+    nodata: float | None  # Stored value that means unknown
+    undeclared: bool  # Whether nobody said which value that is, so that the usual ones are looked for
+    notes: tuple[str, ...]  # What was done, for people
 
     @property
     def west_m(self) -> float:
@@ -152,21 +131,10 @@ class Warped:
 
 
 def reproject_file(
-    file: SourceFile,
-    kind: HeightmapFormat,
-    scaling: Scaling,
-    *,
-    to: str,
-    resolution_m: float | None,
-    west_m: float,
-    north_m: float | None,
-    crs: str | None,
-    band: int | None,
-    window: WindowLike | None,
-    max_cells: int,
-    max_cells_whole: int,
+    file: SourceFile, kind: HeightmapFormat, reading: Reading, to: str, *, max_cells: int, max_cells_whole: int
 ) -> tuple[Warped, Scaling]:
     """Return a file as it is on a north-up grid of square cells of true metres."""
+    scaling, band, resolution_m, crs = reading.scaling, reading.band, reading.resolution_m, reading.crs
     if kind.code is rasters:
         raster = rasters.open_windows(file, scaling, band=band, north_up=False)
     if kind.code is not rasters or raster.colours is not None or raster.transform.is_identity:
@@ -179,7 +147,7 @@ def reproject_file(
             raise HeightmapError("the file does not say how large a cell is: give `resolution_m`")
         else:
             side = decoded.resolution_m
-        content = _as_geotiff(decoded, scaling, side, west_m, north_m)
+        content = _as_geotiff(decoded, scaling, side, reading.west_m, reading.north_m)
         crs, scaling = decoded.crs or crs, Scaling()
         made = rasters.open_windows(SourceFile(content, file.name, content[:4], alone=True), scaling, north_up=False)
         raster = replace(made, notes=decoded.notes)
@@ -195,14 +163,14 @@ def reproject_file(
     in_feet = own is not None and abs(_unit_m(own) - 1.0) > 1e-9
     unit_unknown = in_feet and not raster.unit_said and scaling.scale_m is None
     part = transform
-    if window is not None:
-        cells = cells_of(window, source_crs, transform, (rows, cols))
+    if reading.window is not None:
+        cells = cells_of(reading.window, source_crs, transform, (rows, cols))
         (x,), (y,) = moved(None, None, transform, np.array([cells.col0]), np.array([cells.row0]))
         part, (rows, cols) = Affine(transform.a, transform.b, x, transform.d, transform.e, y), cells.shape
     target, why = choose_crs(source_crs, part, rows, cols, to)
     grid, shape, size = new_grid(source_crs, target, part, rows, cols, resolution_m)
     check_cells(*shape, max_cells, what=f"{file.name}, reprojected to cells of {grid.a:g} m,")
-    what = "" if window is None else "a window of the file was "
+    what = "" if reading.window is None else "a window of the file was "
     note = f"{what}reprojected from {short_name(source_crs)} to {short_name(target)}{why}, with cells of {grid.a:g} m"
     notes = [note, *raster.notes]
     if unit_unknown:
@@ -210,7 +178,8 @@ def reproject_file(
             "the map is in feet and does not say the unit of its heights, which were taken for metres: give `scale_m` "
             "as 0.3048 if they are feet, else as 1"
         )
-    resampling = Resampling.average if grid.a > _COARSER * size else Resampling.bilinear
+    between = Resampling.average if grid.a > _COARSER * size else Resampling.bilinear
+    resampling = Resampling.nearest if reading.nearest else between
     warped = Warped(raster, source_crs, target, transform, grid, shape, resampling, nodata, undeclared, tuple(notes))
     return warped, Scaling(scaling.scale_m, scaling.offset_m, None)
 

@@ -3,19 +3,45 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.ranges import RESOLUTION_M
 from joulemap.model.terrain.coordinate_systems import Bounds, crs_name
-from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded
+from joulemap.model.terrain.cut_out import WindowLike
+from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded, Scaling
 from joulemap.model.terrain.formats.contract import WindowReader
 
 
-def stated_frame(
-    said: Decoded | WindowReader, resolution_m: float | None, west_m: float, north_m: float | None, crs: str | None
-) -> GridFrame:
+@dataclass(frozen=True)
+class Reading:
+    """What the user states of a heightmap's file, in the words of `read_heightmap`."""
+
+    resolution_m: float | None = None
+    west_m: float = 0.0
+    north_m: float | None = None
+    crs: str | None = None
+    scale_m: float | None = None
+    offset_m: float = 0.0
+    nodata: float | None = None
+    band: int | None = None
+    reproject: str | None = None
+    window: WindowLike | None = None
+    noise_m: float | None = None
+    noise_length_m: float = 0.0
+    nearest: bool = False
+    """Whether each cell of a file that is reprojected has the value of the nearest one, for numbers without between."""
+
+    @property
+    def scaling(self) -> Scaling:
+        """How stored values become metres."""
+        return Scaling(self.scale_m, self.offset_m, self.nodata, self.resolution_m)
+
+
+def stated_frame(said: Decoded | WindowReader, reading: Reading) -> GridFrame:
     """Return the file's own place where it states one, and the user's where it does not."""
+    resolution_m, west_m, north_m, crs = reading.resolution_m, reading.west_m, reading.north_m, reading.crs
     if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0):
         raise HeightmapError(
             f"`resolution_m` must be a positive number of metres, got {resolution_m}", resolution_m=str(resolution_m)

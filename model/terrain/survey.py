@@ -15,27 +15,13 @@ from joulemap.model.terrain.heightmap import Heightmap
 
 @dataclass(frozen=True, slots=True)
 class SurveyQuality:
-    """What a survey makes of the ground; all lengths in metres.
+    """What a survey makes of the ground; all lengths in metres."""
 
-    Attributes
-    ----------
-    resolution_m : float
-        Side of a cell.
-    noise_m : float
-        Standard deviation of the noise of a height.
-    correlation_m : float
-        Length over which the noise is alike (Gaussian); 0 for independent noise.
-    smoothing_m : float
-        Standard deviation of the Gaussian that blurs the heights first.
-    quantum_m : float
-        What heights are rounded to; 0 for no rounding.
-    """
-
-    resolution_m: float
-    noise_m: float = 0.0
-    correlation_m: float = 0.0
-    smoothing_m: float = 0.0
-    quantum_m: float = 0.0
+    resolution_m: float  # Side of a cell
+    noise_m: float = 0.0  # Standard deviation of the noise of a height
+    correlation_m: float = 0.0  # Length over which the noise is alike (Gaussian); 0 for independent noise
+    smoothing_m: float = 0.0  # Standard deviation of the Gaussian that blurs the heights first
+    quantum_m: float = 0.0  # What heights are rounded to; 0 for no rounding
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(length) and length >= 0 for length in astuple(self)):

@@ -16,49 +16,28 @@ from joulemap.model.terrain.landforms import HeightArray, bumps, fractal, furrow
 
 @dataclass(frozen=True)
 class TerrainRecipe:
-    """What a terrain is made of. A part whose size is 0 is left out.
+    """What a terrain is made of. A part whose size is 0 is left out."""
 
-    Attributes
-    ----------
-    max_slope_deg : float
-        Steepest slope of relief and tilt together, reached somewhere [deg]. Finer parts are added on top.
-    tilt_deg, tilt_heading_deg : float
-        Slope of a plane, and the heading towards which it climbs [deg].
-    relief_longest_m, relief_shortest_m : float
-        Wavelengths of the relief [m].
-    relief_exponent : float
-        The 2-D spectral density of the relief falls as wavenumber^-exponent; 3.5 is natural ground.
-    roughness_rms_m, roughness_longest_m, roughness_exponent : float
-        The same for relief below the scale of a robot, with its root mean square height [m].
-    furrow_depth_m, furrow_spacing_m, furrow_heading_deg : float
-        Parallel sine furrows that run along the heading.
-    bumps_per_m2 : float
-        Number of tussocks and stones per square metre.
-    bump_height_m, bump_radius_m : float
-        Their mean height (exponentially distributed; negative means holes) and radius [m].
-    track_count : int
-        Number of pairs of wheel ruts along random lines.
-    track_depth_m, track_gauge_m, track_width_m : float
-        Depth of a rut, distance between the two of a pair, and width of a rut [m].
-    """
-
+    # Steepest slope of relief and tilt together, reached somewhere [deg]. Finer parts are added on top.
     max_slope_deg: float = 5.0
-    tilt_deg: float = 0.0
+    tilt_deg: float = 0.0  # Slope of a plane, and the heading towards which it climbs [deg]
     tilt_heading_deg: float = 0.0
-    relief_longest_m: float = 50.0
+    relief_longest_m: float = 50.0  # Wavelengths of the relief [m]
     relief_shortest_m: float = 8.0
+    # The 2-D spectral density of the relief falls as wavenumber^-exponent; 3.5 is natural ground
     relief_exponent: float = 3.5
+    # The same for relief below the scale of a robot, with its root mean square height [m]
     roughness_rms_m: float = 0.008
     roughness_longest_m: float = 2.0
     roughness_exponent: float = 2.5
-    furrow_depth_m: float = 0.0
+    furrow_depth_m: float = 0.0  # Parallel sine furrows that run along the heading
     furrow_spacing_m: float = 0.75
     furrow_heading_deg: float = 0.0
-    bumps_per_m2: float = 0.0
-    bump_height_m: float = 0.05
+    bumps_per_m2: float = 0.0  # Number of tussocks and stones per square metre
+    bump_height_m: float = 0.05  # Their mean height (exponentially distributed; negative means holes) and radius [m]
     bump_radius_m: float = 0.15
-    track_count: int = 0
-    track_depth_m: float = 0.05
+    track_count: int = 0  # Number of pairs of wheel ruts along random lines
+    track_depth_m: float = 0.05  # Depth of a rut, distance between the two of a pair, and width of a rut [m]
     track_gauge_m: float = 1.5
     track_width_m: float = 0.3
 

@@ -26,21 +26,11 @@ _NO_LENGTH = re.compile(r"deg|radian|rad$|percent|%|m/s|db$|kelvin")
 
 @dataclass(frozen=True)
 class HeightUnit:
-    """What a file says of the unit of its heights.
+    """What a file says of the unit of its heights."""
 
-    Attributes
-    ----------
-    factor : float
-        Metres per unit.
-    said : bool
-        Whether the file says it.
-    note : str
-        What is to be said of it; empty where they are metres.
-    """
-
-    factor: float = 1.0
-    said: bool = False
-    note: str = ""
+    factor: float = 1.0  # Metres per unit
+    said: bool = False  # Whether the file says it
+    note: str = ""  # What is to be said of it; empty where they are metres
 
 
 def height_unit(text: str | None, crs: str | None, what: str, *, or_horizontal: bool = False) -> HeightUnit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -81,33 +81,16 @@ class HeightmapFile:
     """A file read by windows, with the same heights, identity and refusals as reading it whole.
 
     A small file is kept in memory after it was read for the first window.
-
-    Attributes
-    ----------
-    reader : WindowReader
-        The open format.
-    scaling : Scaling
-        How stored values become metres.
-    frame : GridFrame
-        Where the grid lies.
-    source : str
-        The file's name.
-    notes : tuple of str
-        As `Heightmap.notes`.
-    given_noise_m, noise_length_m : float or None, float
-        As those of `Heightmap`.
-    layers : Layers
-        As `Heightmap.layers`.
     """
 
-    reader: WindowReader
-    scaling: Scaling
-    frame: GridFrame
-    source: str
-    notes: tuple[str, ...] = ()
-    given_noise_m: float | None = None
+    reader: WindowReader  # The open format
+    scaling: Scaling  # How stored values become metres
+    frame: GridFrame  # Where the grid lies
+    source: str  # The file's name
+    notes: tuple[str, ...] = ()  # As `Heightmap.notes`
+    given_noise_m: float | None = None  # As those of `Heightmap`
     noise_length_m: float = 0.0
-    layers: Layers = NO_LAYERS
+    layers: Layers = NO_LAYERS  # As `Heightmap.layers`
 
     def __post_init__(self) -> None:
         check_noise(self.given_noise_m, self.noise_length_m)
@@ -120,17 +103,22 @@ class HeightmapFile:
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1)."""
         kept = self._kept
-        if kept is None:
-            heights = self.reader.read(self.scaling, slice(row0, row1), slice(col0, col1))
-        else:
-            heights = kept[row0:row1, col0:col1]
+        heights = self._read(row0, row1, col0, col1) if kept is None else kept[row0:row1, col0:col1]
         place = self.frame.window(row0, row1, col0, col1)
         return Heightmap(heights, place, self.source, part=True, layers=self.layers)
 
     @cached_property
     def _kept(self) -> NDArray[np.float32] | None:
         rows, cols = self.frame.shape
-        return self.reader.read(self.scaling, slice(0, rows), slice(0, cols)) if rows * cols <= _KEPT_CELLS else None
+        return self._read(0, rows, 0, cols) if rows * cols <= _KEPT_CELLS else None
+
+    def _read(self, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.float32]:
+        heights = self.reader.read(self.scaling, slice(row0, row1), slice(col0, col1))
+        return self.layers.over(heights, self.frame.window(row0, row1, col0, col1))
+
+    def with_layers(self, layers: Layers) -> HeightmapFile:
+        """Return the file with layers. As `Heightmap.with_layers`."""
+        return replace(self, layers=layers)
 
     @property
     def data_hash(self) -> str:
@@ -159,8 +147,7 @@ class HeightmapFile:
             return
         step = max(1, _STRIP_CELLS // self.frame.cols)
         for row in range(0, self.frame.rows, step):
-            rows = slice(row, min(row + step, self.frame.rows))
-            yield self.reader.read(self.scaling, rows, slice(0, self.frame.cols))
+            yield self._read(row, min(row + step, self.frame.rows), 0, self.frame.cols)
 
 
 def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
@@ -175,6 +162,7 @@ def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: 
     around = ground.window(top, min(row1 + MARGIN_CELLS, rows), left, min(col1 + MARGIN_CELLS, cols))
     length = ground.noise_length_m / ground.frame.resolution_m
     heights = denoised(around.heights, ground.noise_m, length)[row0 - top : row1 - top, col0 - left : col1 - left]
+    heights = ground.layers.over(heights, ground.frame.window(row0, row1, col0, col1))
     place, removed = ground.frame.window(row0, row1, col0, col1), hiding_noise_m(ground.noise_m, length)
     noise: Any = {"given_noise_m": 0.0, "removed_noise_m": removed}
     return Heightmap(heights, place, ground.source, part=True, layers=ground.layers, **noise)

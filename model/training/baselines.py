@@ -33,15 +33,13 @@ def baseline_predictions(rows: CostRows, shapes: FloatArray, fitted: NDArray[np.
     rest = (energy - idle_j - weight * rows.tan_grade * metres)[usable]
     mu = float(rolling @ rest / (rolling @ rolling)) if usable.any() else float("nan")
     physics = idle_j + np.maximum(weight * (mu + rows.tan_grade), 0.0) * metres
-    told = {
+    found = {
         "a constant energy per metre": (constant * metres)[~fitted],
         "equation 5 with fitted friction": physics[~fitted],
     }
-    if usable.sum() > 2 * (shapes.shape[1] + 4):
-        told["a ridge regression on shape, turning, time and speeding up"] = _ridge(rows, shapes, usable)[~fitted]
-    else:
-        told["a ridge regression on shape, turning, time and speeding up"] = np.full(int((~fitted).sum()), np.nan)
-    return told
+    enough = usable.sum() > 2 * (shapes.shape[1] + 4)
+    ridge = _ridge(rows, shapes, usable) if enough else np.full(usable.size, np.nan)
+    return {**found, "a ridge regression on shape, turning, time and speeding up": ridge[~fitted]}
 
 
 def _ridge(rows: CostRows, shapes: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:

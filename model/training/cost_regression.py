@@ -30,30 +30,15 @@ _MOST_SPEED_UP = 2.0
 
 @dataclass(frozen=True, eq=False)
 class CostRows:
-    """What the regression reads of n segments.
+    """What the regression reads of n segments."""
 
-    Attributes
-    ----------
-    segments : Segments
-        Measured.
-    robots : tuple of Robot
-        That drove.
-    robot : ndarray of int, (n,)
-        Which of them drove a segment.
-    traction_per_m : ndarray of float, (n,)
-        Of the network that a training starts from, or of equation 5 [J/m].
-    shape_per_m : ndarray of float, (n,)
-        The part of it that the network reads from the shape of the ground, beyond rolling and climbing [J/m].
-    tan_grade : ndarray of float, (n,)
-        Tangent of the slope along the motion.
-    """
-
-    segments: Segments
-    robots: tuple[Robot, ...]
-    robot: NDArray[np.int64]
-    traction_per_m: FloatArray
+    segments: Segments  # Measured
+    robots: tuple[Robot, ...]  # That drove
+    robot: NDArray[np.int64]  # (n,): Which of them drove a segment
+    traction_per_m: FloatArray  # (n,): Of the network that a training starts from, or of equation 5 [J/m]
+    # (n,): The part of it that the network reads from the shape of the ground, beyond rolling and climbing [J/m]
     shape_per_m: FloatArray
-    tan_grade: FloatArray
+    tan_grade: FloatArray  # (n,): Tangent of the slope along the motion
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> CostRows:
         """Return some of the rows."""
@@ -73,23 +58,13 @@ class CostRows:
 
 @dataclass(frozen=True)
 class CostFit:
-    """The result of the regression.
+    """The result of the regression."""
 
-    Attributes
-    ----------
-    costs : DriveCosts
-        Of turning, time and speeding up.
-    level : float
-        What the traction lacks on level ground, over the weight: the rolling resistance that was not declared.
-    climb : float
-        What it lacks over the weight and the tangent of the slope.
-    shape : float
-        What it lacks of the network's part for the shape of the ground, over that part; -1 where the part says nothing.
-    """
-
-    costs: DriveCosts
+    costs: DriveCosts  # Of turning, time and speeding up
+    # What the traction lacks on level ground, over the weight: the rolling resistance that was not declared
     level: float
-    climb: float
+    climb: float  # What it lacks over the weight and the tangent of the slope
+    # What it lacks of the network's part for the shape of the ground, over that part; -1 where the part says nothing
     shape: float
 
     def predict_j(self, rows: CostRows) -> FloatArray:

@@ -94,33 +94,16 @@ _ASKING = 0.5  # share of the time
 
 @dataclass(frozen=True)
 class DistilledModel:
-    """The result of a distillation.
+    """The result of a distillation."""
 
-    Attributes
-    ----------
-    version : str
-        Of the student.
-    teacher : str
-        Folder of the teacher.
-    answers : int
-        Number of the teacher's answers that the student learned from.
-    segments : int
-        Number of measured segments that it learned from.
-    held_out_runs : list of str
-        Runs that neither network was fitted to. They decided when the teacher's training stopped.
-    difference : float
-        Mean absolute difference from the teacher at random places, over the energy.
-    teacher_held_out, student_held_out : dict
-        Errors on `held_out_runs`, as `evaluation.errors`.
-    """
-
-    version: str
-    teacher: str
-    answers: int
-    segments: int
+    version: str  # Of the student
+    teacher: str  # Folder of the teacher
+    answers: int  # Number of the teacher's answers that the student learned from
+    segments: int  # Number of measured segments that it learned from
+    # Runs that neither network was fitted to. They decided when the teacher's training stopped.
     held_out_runs: list[str]
-    difference: float
-    teacher_held_out: dict[str, Any]
+    difference: float  # Mean absolute difference from the teacher at random places, over the energy
+    teacher_held_out: dict[str, Any]  # Errors on `held_out_runs`, as `evaluation.errors`
     student_held_out: dict[str, Any]
 
 
@@ -175,7 +158,7 @@ def distil_on_runs(
     )
     shown = replace(examples.domain(), turned_rad=learned.domain.turned_rad, driven=learned.domain.driven)
     student = Artifact(result.net, parent.domain.joined(shown), costs=learned.costs)
-    answers_of = predictor_of(student, {}, name=out.name)
+    answers_of = predictor_of(student, name=out.name)
     judged = segments.take(np.flatnonzero(np.isin(segments.run, held)))
     said = predict_segments(answers_of, heightmap, robot, judged)
     found = DistilledModel(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,7 @@ from joulemap.model.energy.prediction import joined, predict_segments
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import LEVELS, Spread
 from joulemap.model.errors import InputError
-from joulemap.model.robot import Robot
 from joulemap.model.runs.sites import Site, read_sites
-from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.run_record import seen_runs
 
 
@@ -74,13 +71,6 @@ def coverage(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, spre
         low, high = spread.interval(predicted_j, std_j, level)
         inside[f"{100 * level:.0f}"] = float(np.mean((low <= energy) & (energy <= high)))
     return inside
-
-
-def evaluate_on_runs(
-    predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path], *, charge: bool = False
-) -> dict[str, Any]:
-    """Judge a predictor by measured runs over one heightmap, as `evaluate_on_sites`."""
-    return evaluate_on_sites(predictor, [Site(heightmap, tuple(files), robot)], charge=charge)
 
 
 def evaluate_on_sites(predictor: Predictor, sites: Sequence[Site], *, charge: bool = False) -> dict[str, Any]:

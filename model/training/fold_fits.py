@@ -19,7 +19,7 @@ from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.examples import Examples, concatenate, cut_examples
 from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.prediction import predict_segments
-from joulemap.model.energy.shape_regression import shape_features
+from joulemap.model.energy.shape_features import shape_features
 from joulemap.model.errors import InputError
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.sites import SiteRuns
@@ -41,33 +41,15 @@ _SHOWN = 0.01  # of the segments beyond either end of a range: one odd segment i
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What fits say of segments that they had not seen, in driving order.
+    """What fits say of segments that they had not seen, in driving order."""
 
-    Attributes
-    ----------
-    index : ndarray of int, (n,)
-        Which segments of the training.
-    segments : Segments
-        The same.
-    energy_j : ndarray of float, (n,)
-        Predicted; NaN on unknown ground.
-    std_j : ndarray of float, (n,), optional
-        Its standard deviation [J].
-    traction_per_m : ndarray of float, (n,)
-        Of the ground [J/m].
-    costs : DriveCosts
-        Of all runs: what the model keeps.
-    beside_j : ndarray of float, (n,)
-        Declared energy of idle power and turning, which is in `energy_j` [J].
-    """
-
-    index: NDArray[np.int64]
-    segments: Segments
-    energy_j: FloatArray
-    std_j: FloatArray | None
-    traction_per_m: FloatArray
-    costs: DriveCosts
-    beside_j: FloatArray
+    index: NDArray[np.int64]  # (n,): Which segments of the training
+    segments: Segments  # The same
+    energy_j: FloatArray  # (n,): Predicted; NaN on unknown ground
+    std_j: FloatArray | None  # (n,): Its standard deviation [J]
+    traction_per_m: FloatArray  # (n,): Of the ground [J/m]
+    costs: DriveCosts  # Of all runs: what the model keeps
+    beside_j: FloatArray  # (n,): Declared energy of idle power and turning, which is in `energy_j` [J]
 
     def scaled(self, factor: float) -> Judged:
         """Return what a model would say that asks for so many times as much beside what is declared.
@@ -108,7 +90,7 @@ class FoldFits:
         self.domain = self._domain(parent)
         self._rows = self._cost_rows(parent)
         self._said: list[tuple[NDArray[np.int64], FloatArray, FloatArray | None, FloatArray]] = []
-        self._told: list[tuple[NDArray[np.int64], dict[str, FloatArray]]] = []  # by simple models, likewise
+        self._simple: list[tuple[NDArray[np.int64], dict[str, FloatArray]]] = []  # what simple models predict
 
     def artifact(self, net: Network, costs: DriveCosts) -> Artifact:
         """Make a model of a network."""
@@ -132,24 +114,25 @@ class FoldFits:
         return result.net, result.epochs
 
     def cross_fit(self, options: TrainingOptions, progress: Callable[[float], None] | None) -> tuple[Network, int]:
-        """Fit a network without each fold of the parts, each judged on its fold."""
+        """Fit a network without each fold of the parts, each judged on its fold; with no epochs its costs alone."""
         parts = np.random.default_rng(self.seed).permutation(np.unique(self.examples.run))
         folds = [fold.tolist() for fold in np.array_split(parts, min(FOLDS, parts.size))]
         nets = []
         for k, fold in enumerate(folds):
-            fitted, start = self._costs_without(fold)
-            result = train_network(
-                self._beside(fitted),
-                architecture=self.kind.name,
-                seed=self.seed,
-                start_from=start,
-                held_out_runs=fold,
-                options=options,
-                checkpoint=self._checkpoint(k),
-                progress=None if progress is None else _share(progress, k, len(folds)),
-            )
-            nets.append(result.net)
-            self._judge(result.net, fold, fitted)
+            fitted, net = self._costs_without(fold)
+            if net is None or options.epochs:
+                net = train_network(
+                    self._beside(fitted),
+                    architecture=self.kind.name,
+                    seed=self.seed,
+                    start_from=net,
+                    held_out_runs=fold,
+                    options=options,
+                    checkpoint=self._checkpoint(k),
+                    progress=None if progress is None else _share(progress, k, len(folds)),
+                ).net
+            nets.append(net)
+            self._judge(net, fold, fitted)
         return averaged(nets), options.epochs
 
     def judged(self) -> Judged:
@@ -168,12 +151,12 @@ class FoldFits:
 
         `known` (n,): which of them the networks know. Result: as `evaluation.errors`, by model.
         """
-        index = np.concatenate([mine for mine, _ in self._told])
+        index = np.concatenate([mine for mine, _ in self._simple])
         order = np.argsort(index)
         segments = self.measured.segments.take(index[order])
         found = {}
-        for name in self._told[0][1]:
-            energy = np.concatenate([told[name] for _, told in self._told])[order]
+        for name in self._simple[0][1]:
+            energy = np.concatenate([simple[name] for _, simple in self._simple])[order]
             both = known & np.isfinite(energy)
             if both.any():
                 found[name] = named(errors(energy[both], segments.energy_j[both], segments.run[both]), segments.runs)
@@ -263,7 +246,7 @@ class FoldFits:
                 continue
             without = self.kind.adapted(self.start, level=0.0, climb=0.0, shape=-1.0)
             full, plain = (
-                predictor_of(self.artifact(net, DriveCosts()), {}, name="").segment_traction(
+                predictor_of(self.artifact(net, DriveCosts())).segment_traction(
                     site.ground, site.robot, s.x, s.y, s.heading_rad
                 )
                 for net in (self.start, without)
@@ -276,9 +259,9 @@ class FoldFits:
         """Costs that were fitted without some parts, and the network to start from with its level put right."""
         out = np.isin(self.part, parts)
         fitted = fit_costs(self._rows.take(~out))
-        told = baseline_predictions(self._rows, self.shapes, ~out)
-        told[NOT_TUNED] = fitted.predict_j(self._rows.take(out))
-        self._told.append((np.flatnonzero(out), told))
+        simple = baseline_predictions(self._rows, self.shapes, ~out)
+        simple[NOT_TUNED] = fitted.predict_j(self._rows.take(out))
+        self._simple.append((np.flatnonzero(out), simple))
         if self.start is None:
             return fitted, None
         return fitted, self.kind.adapted(self.start, level=fitted.level, climb=fitted.climb, shape=fitted.shape)
@@ -294,7 +277,7 @@ class FoldFits:
         return replace(self.examples, beside_j=beside[self._index].astype(np.float32))
 
     def _judge(self, net: Network, parts: Sequence[int], fitted: CostFit) -> None:
-        predictor = predictor_of(self.artifact(net, fitted.costs), {}, name="")
+        predictor = predictor_of(self.artifact(net, fitted.costs))
         for k, site in enumerate(self.measured.sites):
             mine = np.flatnonzero(np.isin(self.part, parts) & (self.measured.site == k))
             if mine.size:

@@ -10,17 +10,15 @@ from typing import Any
 import numpy as np
 
 from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE, find_architecture
-from joulemap.model.energy.architectures.contract import check_start
+from joulemap.model.energy.architectures.contract import Architecture, check_start
 from joulemap.model.energy.architectures.network import Network
-from joulemap.model.energy.artifact import read_artifact, save_artifact
+from joulemap.model.energy.artifact import Artifact, read_artifact, save_artifact
 from joulemap.model.energy.mean_level import MeanLevel, mean_level
 from joulemap.model.energy.residuals_of_runs import keep_base_runs
 from joulemap.model.energy.uncertainty import FEWEST, Spread, fit_spread
 from joulemap.model.errors import InputError
-from joulemap.model.robot import Robot
 from joulemap.model.runs.record import RECORD_FILE
 from joulemap.model.runs.sites import Site, read_sites
-from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors, named
 from joulemap.model.training.fold_fits import NOT_TUNED, FoldFits
 from joulemap.model.training.model_card import card_of_runs
@@ -32,74 +30,63 @@ CARD_FILE = "MODEL_CARD.md"
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """The result of a training.
+    """The result of a training."""
 
-    Attributes
-    ----------
-    version : str
-        Of the model.
-    segments : int
-        Segments on known ground that networks learned from, held-out ones included.
-    runs : list of str
-        All runs.
-    held_out_runs : list of str
-        Runs that `held_out` is about, each predicted by a network that had not seen it.
-    held_out : dict
-        Errors on them, as `evaluation.errors`.
-    epochs : int
-        Passes over the data.
-    turn_j_per_rad : float
-        Energy of turning in plans beyond what the robot's file declares [J/rad].
-    stopped_by_held_out : bool
-        Whether the held-out runs also decided when the training stopped, which makes the errors a little too small.
-    keeps_runs : bool
-        Whether the model's folder keeps its runs as the baseline of later calibrations.
-    drive_costs : dict
-        Costs of turning, time and speeding up, as `DriveCosts.as_dict`.
-    baselines : dict of str to dict
-        Errors of simple models on the same segments, each fitted without the run that it predicts, as
-        `evaluation.errors`.
-    mean : MeanLevel
-        Measured over predicted energy of the held-out runs before the model was multiplied by the factor.
-    coverage : dict
-        Metres driven, used, and left out by reason, as `Segments.coverage`.
-    warnings : list of str
-        What the user must not overlook.
-    """
-
-    version: str
-    segments: int
-    runs: list[str]
-    held_out_runs: list[str]
-    held_out: dict[str, Any]
-    epochs: int
-    turn_j_per_rad: float
+    version: str  # Of the model
+    segments: int  # Segments on known ground that networks learned from, held-out ones included
+    runs: list[str]  # All runs
+    held_out_runs: list[str]  # Runs that `held_out` is about, each predicted by a network that had not seen it
+    held_out: dict[str, Any]  # Errors on them, as `evaluation.errors`
+    epochs: int  # Passes over the data
+    turn_j_per_rad: float  # Energy of turning in plans beyond what the robot's file declares [J/rad]
+    # Whether the held-out runs also decided when the training stopped, which makes the errors a little too small
     stopped_by_held_out: bool
-    keeps_runs: bool
-    drive_costs: dict[str, Any]
+    keeps_runs: bool  # Whether the model's folder keeps its runs as the baseline of later calibrations
+    drive_costs: dict[str, Any]  # Costs of turning, time and speeding up, as `DriveCosts.as_dict`
+    # Errors of simple models on the same segments, each fitted without the run that it predicts, as
+    # `evaluation.errors`
     baselines: dict[str, dict[str, Any]]
-    mean: MeanLevel
-    coverage: dict[str, Any]
-    warnings: list[str]
+    mean: MeanLevel  # Measured over predicted energy of the held-out runs before the model was multiplied by the factor
+    coverage: dict[str, Any]  # Metres driven, used, and left out by reason, as `Segments.coverage`
+    warnings: list[str]  # What the user must not overlook
 
 
-def train_on_runs(
-    heightmap: Heightmap, robot: Robot, files: Sequence[Path], *, out: Path, **options: Any
-) -> TrainedModel:
-    """Train on measured runs over one heightmap, as `train_on_sites`. Result: the model and its held-out errors."""
-    return train_on_sites([Site(heightmap, tuple(files), robot)], out=out, **options)
+@dataclass(frozen=True)
+class Learner:
+    """What is trained, and from what."""
+
+    architecture: str = DEFAULT_ARCHITECTURE
+    start_from: Path | None = None  # folder of a model; None for random weights
+    backbone: Path | None = None  # file of weights
+    patch_size: int | None = None  # rows of the input; None: those of `start_from`, or the usual ones
+    epochs: int | None = None  # None: the usual ones of the architecture
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.backbone is not None and self.start_from is not None:
+            raise InputError("weights for a backbone do not go together with a model to start from")
+
+    def begin(self, kind: Architecture[Any], *, mapped: bool) -> tuple[Artifact | None, Network | None, int]:
+        """Return the model and the network to start from, where there are any, and the size of the input."""
+        parent = read_artifact(self.start_from) if self.start_from is not None else None
+        start: Network | None = parent.net if parent is not None else None
+        check_start(kind, start)
+        if not mapped:
+            start = _without_shape(kind, start)
+        if self.backbone is not None:
+            start = kind.from_backbone(self.backbone)
+        size = kind.input_size(self.patch_size or (parent.size if parent is not None else None))
+        if parent is not None and size != parent.size:
+            words = f"the network of {self.start_from} reads patches of {parent.size} rows, not {size}"
+            raise InputError(words, size=size)
+        return parent, start, size
 
 
 def train_on_sites(
     sites: Sequence[Site],
+    learner: Learner,
     *,
     out: Path,
-    architecture: str = DEFAULT_ARCHITECTURE,
-    start_from: Path | None = None,
-    backbone: Path | None = None,
-    patch_size: int | None = None,
-    epochs: int | None = None,
-    seed: int = 0,
     charge: bool = False,
     resume: bool = False,
     progress: Callable[[float], None] | None = None,
@@ -114,27 +101,24 @@ def train_on_sites(
     weights with the costs of all runs. Every run is then predicted by a fit that has not seen it, which gives held-out
     errors and the model's spread without losing a run for training. Otherwise a share of the runs is held out whole,
     and training stops when the error on them no longer improves.
+
+    Runs without a map show rolling and climbing, but not the shape of the ground: the network's part for the shape is
+    taken away, and the regression alone is fitted.
     """
-    kind = find_architecture(architecture)
-    if backbone is not None and start_from is not None:
-        raise InputError("weights for a backbone do not go together with a model to start from")
+    kind = find_architecture(learner.architecture)
     measured = read_sites(sites, charge=charge)
-    parent = read_artifact(start_from) if start_from is not None else None
-    start: Network | None = parent.net if parent is not None else None
-    check_start(kind, start)
-    if backbone is not None:
-        start = kind.from_backbone(backbone)
-    size = kind.input_size(patch_size or (parent.size if parent is not None else None))
-    if parent is not None and size != parent.size:
-        raise InputError(f"the network of {start_from} reads patches of {parent.size} rows, not {size}", size=size)
-    fits = FoldFits(measured, kind, size, start, parent, out, seed)
+    mapped = all(site.placed for site in sites)
+    parent, start, size = learner.begin(kind, mapped=mapped)
+    fits = FoldFits(measured, kind, size, start, parent, out, learner.seed)
     if not resume:
         fits.forget()
     out.mkdir(parents=True, exist_ok=True)
     usual = kind.training
-    crossed = usual.cross_fitted and parent is not None
+    crossed = (usual.cross_fitted and parent is not None) or not mapped
     rate = (usual.fine_tuning_rate if crossed else None) or usual.learning_rate
-    options = TrainingOptions(epochs=epochs or usual.epochs, batch=usual.batch, learning_rate=rate)
+    options = TrainingOptions(
+        epochs=(learner.epochs or usual.epochs) if mapped else 0, batch=usual.batch, learning_rate=rate
+    )
     if crossed:
         net, passes = fits.cross_fit(replace(options, keep_last=True), progress)
     else:
@@ -165,9 +149,15 @@ def train_on_sites(
     names = [segments.runs[int(k)] for k in np.unique(judged.segments.run)]
     baselines = fits.baseline_errors(known)
     warnings = _warnings(held_out, baselines, sites)
+    if not mapped:
+        warnings.append("the runs have no map: in this model the shape of the ground, beyond its slope, costs nothing")
     if not level.agrees:
         done = "made up for" if level.factor != 1.0 else "left, because this architecture cannot be multiplied"
         warnings.append(f"measured sums of left-out runs were {level.ratio:.1%} of the predicted ones, which is {done}")
+    (out / RECORD_FILE).unlink(missing_ok=True)  # an earlier model's, in the same folder
+    kept = None
+    if len(sites) == 1 and all(run.has_energy for run in measured.runs) and not charge:
+        kept = keep_base_runs(out, sites[0].ground, robot, judged.segments, judged.traction_per_m, judged.energy_j)
     training = {
         "data": "measured runs",
         "data_hash": fits.examples.data_hash,
@@ -182,20 +172,15 @@ def train_on_sites(
         "coverage": segments.coverage(),
         "warnings": warnings,
         "stopped_by_held_out": not crossed,
-        "seed": seed,
+        "seed": learner.seed,
         "epochs": passes,
-        "started_from": str(start_from or backbone or ""),
+        "started_from": str(learner.start_from or learner.backbone or ""),
+        "base_runs": kept,
     }
     artifact = replace(fits.artifact(net, costs), spread=spread, training=training)
     version = save_artifact(out, artifact)
     card = card_of_runs(version, training, fits.domain, costs)
     (out / CARD_FILE).write_text(card, encoding="utf-8")
-    (out / RECORD_FILE).unlink(missing_ok=True)  # an earlier model's, in the same folder
-    keeps_runs = False
-    if len(sites) == 1 and all(run.has_energy for run in measured.runs) and not charge:
-        keeps_runs = keep_base_runs(
-            out, sites[0].ground, robot, judged.segments, judged.traction_per_m, judged.energy_j
-        )
     fits.forget()
     return TrainedModel(
         version,
@@ -206,13 +191,25 @@ def train_on_sites(
         passes,
         round(costs.planned_turn_j_per_rad(robot), 3),
         not crossed,
-        keeps_runs,
+        kept is not None,
         costs.as_dict(),
         baselines,
         level,
         segments.coverage(),
         warnings,
     )
+
+
+def _without_shape(kind: Architecture[Any], start: Network | None) -> Network:
+    """What runs without a map can be fitted with."""
+    if start is None or not kind.shape_free:
+        learner = "a network with random weights" if kind.shape_free else kind.name
+        raise InputError(
+            f"the runs have no map, and {learner} learns from the shape of the ground: give the heightmap, or train "
+            "`compact`, starting from `default` or your own compact model",
+            architecture=kind.name,
+        )
+    return kind.adapted(start, level=0.0, climb=0.0, shape=-1.0)
 
 
 def _warnings(held_out: dict[str, Any], baselines: dict[str, dict[str, Any]], sites: Sequence[Site]) -> list[str]:

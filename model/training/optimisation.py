@@ -33,45 +33,22 @@ _SPREAD_SHARE = 0.01
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """How to train.
+    """How to train."""
 
-    Attributes
-    ----------
-    epochs : int
-        Passes over the data, at most.
-    patience : int
-        Epochs without a better held-out error before the training stops.
-    batch : int
-        Segments per step.
-    learning_rate : float
-        At the start of a cosine.
-    weight_decay : float
-        Of AdamW.
-    augment : bool
-        Whether inputs are mirrored and, where the architecture allows it, turned by quarter turns.
-    freeze_backbone : bool
-        Train the head alone, where the architecture has a backbone.
-    held_out_share : float
-        Share of the runs to hold out, where none are named.
-    feature_jitter : float
-        Noise on the robot's features, over their ranges, so that the network cannot recognise a robot by them.
-    loss : str
-        "relative" (squared error over the prediction) or "mse" (of the scaled energy e = E / V, as in the paper).
-    keep_last : bool
-        Train for all `epochs` and keep the last weights: the held-out runs then decide nothing, and errors on them are
-        held-out errors.
-    """
-
-    epochs: int = 60
-    patience: int = 12
-    batch: int = 256
-    learning_rate: float = 1e-3
-    weight_decay: float = 1e-4
-    augment: bool = True
-    freeze_backbone: bool = False
-    held_out_share: float = 0.15
+    epochs: int = 60  # Passes over the data, at most
+    patience: int = 12  # Epochs without a better held-out error before the training stops
+    batch: int = 256  # Segments per step
+    learning_rate: float = 1e-3  # At the start of a cosine
+    weight_decay: float = 1e-4  # Of AdamW
+    augment: bool = True  # Whether inputs are mirrored and, where the architecture allows it, turned by quarter turns
+    freeze_backbone: bool = False  # Train the head alone, where the architecture has a backbone
+    held_out_share: float = 0.15  # Share of the runs to hold out, where none are named
+    # Noise on the robot's features, over their ranges, so that the network cannot recognise a robot by them
     feature_jitter: float = 0.0
+    # "relative" (squared error over the prediction) or "mse" (of the scaled energy e = E / V, as in the paper)
     loss: str = "relative"
+    # Train for all `epochs` and keep the last weights: the held-out runs then decide nothing, and errors on them are
+    # held-out errors
     keep_last: bool = False
 
     def __post_init__(self) -> None:
@@ -81,28 +58,15 @@ class TrainingOptions:
 
 @dataclass
 class TrainingResult:
-    """A trained network and how its training went.
+    """A trained network and how its training went."""
 
-    Attributes
-    ----------
-    net : Network
-        With the best weights.
-    held_out_error : float
-        Mean of |error| / `NetworkOutput.scale` on the held-out runs, by which the weights were chosen. Where no segment
-        takes little energy it is the mean relative error of `metrics`.
-    held_out_runs : list of int
-        Their ids.
-    seed : int
-        As used.
-    history : list of dict
-        train_loss and held_out_error of every epoch.
-    """
-
-    net: Network
+    net: Network  # With the best weights
+    # Mean of |error| / `NetworkOutput.scale` on the held-out runs, by which the weights were chosen. Where no segment
+    # takes little energy it is the mean relative error of `metrics`.
     held_out_error: float
-    held_out_runs: list[int]
-    seed: int
-    history: list[dict[str, float]] = field(default_factory=list)
+    held_out_runs: list[int]  # Their ids
+    seed: int  # As used
+    history: list[dict[str, float]] = field(default_factory=list)  # train_loss and held_out_error of every epoch
 
     @property
     def epochs(self) -> int:

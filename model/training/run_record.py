@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from joulemap.model.runs.reader import Run
+from joulemap.model.runs.run import Run
 
 _MOST_NAMES = 5
 

@@ -26,45 +26,43 @@ SWEEPS = 24
 """Largest number of sweeps."""
 LEAST_LEG = 1e-3
 """Shortest leg that a shift may leave where turning costs [cells]: at two vertices in one place no turn is counted."""
-_SHIFTS = 3
+SHIFTS = 3
 _SIGN = (0.0, 1.0, -1.0)
 
 
 @njit(cache=True, nogil=True)
-def bent(traction, gradient, blocked, terms, turn_j_per_rad, points, step, direction):
+def bent(prices, points, step, direction):
     """The polyline after sweeps of the cheapest shifts, until none pays: (n, 2) float64, at most as dear.
 
-    traction, gradient, blocked, terms : as for `kernels.leg_energy`. points : (row, col) polyline that may be driven
-    (n, 2). step : size of a shift [cells]. direction : `ACROSS`, `ALONG` or `ON_LINE`.
+    prices : an `integrator.Prices`. points : (row, col) polyline that may be driven (n, 2). step : size of a shift
+    [cells]. direction : `ACROSS`, `ALONG` or `ON_LINE`.
     """
     points = points.copy()
     legs = points.shape[0] - 1
     if legs < 2:
         return points
     side = np.zeros((legs + 1, 2))
-    cost = np.full((legs, _SHIFTS, _SHIFTS), np.inf)
+    cost = np.full((legs, SHIFTS, SHIFTS), np.inf)
     stale = np.ones(legs, dtype=np.bool_)
-    memory = heading_memory(traction.shape[2])
-    arrays = (memory, traction, gradient, blocked, terms)
-    least_leg = LEAST_LEG if turn_j_per_rad > 0.0 else 0.0
+    memory, turn_j_per_rad = heading_memory(prices.traction.shape[2]), prices.turn_j_per_rad
     chosen = np.zeros(legs + 1, dtype=np.int64)
     around = 1 if direction == ON_LINE else 2  # elsewhere the sides of a vertex's neighbours turn with it
     set_sides(points, side, direction, 0, legs + 1)
     for _ in range(SWEEPS):
         for k in range(legs):
             if stale[k]:
-                _price_leg(arrays, points, side, k, step, least_leg, cost)
+                price_leg(memory, prices, points, side, k, step, cost)
                 stale[k] = False
         if turn_j_per_rad > 0.0:
             gain = _choose_with_turns(turn_j_per_rad, points, side, step, cost, chosen)
         else:
-            gain = _choose(cost, chosen)
+            gain = choose(cost, chosen)
         if not gain > 0.0:
             break
         for i in range(1, legs):
             if chosen[i] != 0:
                 stale[max(i - around, 0) : i + around] = True
-                points[i, 0], points[i, 1] = _shifted(points, side, i, chosen[i], step)
+                points[i, 0], points[i, 1] = shifted(points, side, i, chosen[i], step)
         if direction != ON_LINE:
             for k in range(legs):
                 if stale[k]:
@@ -92,37 +90,37 @@ def set_sides(points, side, direction, first, end):
 
 
 @njit(cache=True)
-def _shifted(points, side, i, shift, step):
+def shifted(points, side, i, shift, step):
     """Vertex i after a shift: 0 stay, 1 and 2 to either side."""
     move = step * _SIGN[shift]
     return points[i, 0] + move * side[i, 0], points[i, 1] + move * side[i, 1]
 
 
 @njit(cache=True)
-def _price_leg(arrays, points, side, k, step, least_leg, cost):
+def price_leg(memory, prices, points, side, k, step, cost):
     """Fill cost[k]: energies of leg k [J] for all shifts of its ends; infinite where it may not be driven."""
-    memory, traction, gradient, blocked, terms = arrays
-    for a in range(1 if k == 0 else _SHIFTS):
-        row0, col0 = _shifted(points, side, k, a, step)
-        for b in range(1 if k == cost.shape[0] - 1 else _SHIFTS):
-            row1, col1 = _shifted(points, side, k + 1, b, step)
-            price = driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
+    least_leg = LEAST_LEG if prices.turn_j_per_rad > 0.0 else 0.0
+    for a in range(1 if k == 0 else SHIFTS):
+        row0, col0 = shifted(points, side, k, a, step)
+        for b in range(1 if k == cost.shape[0] - 1 else SHIFTS):
+            row1, col1 = shifted(points, side, k + 1, b, step)
+            price = driven_leg_energy(memory, prices, (row0, col0, row1, col1), math.inf)
             short = (a != 0 or b != 0) and math.hypot(row1 - row0, col1 - col0) < least_leg
             cost[k, a, b] = math.inf if short or math.isnan(price) else price
 
 
 @njit(cache=True)
-def _choose(cost, chosen):
+def choose(cost, chosen):
     """Fill the cheapest shifts; what they gain [J], 0 where that is within the tolerance."""
     legs = cost.shape[0]
-    least = np.full(_SHIFTS, np.inf)
+    least = np.full(SHIFTS, np.inf)
     least[0] = 0.0
-    came = np.zeros((legs, _SHIFTS), dtype=np.int8)
+    came = np.zeros((legs, SHIFTS), dtype=np.int8)
     stay = 0.0
     for k in range(legs):
-        ahead = np.full(_SHIFTS, np.inf)
-        for b in range(_SHIFTS):
-            for a in range(_SHIFTS):
+        ahead = np.full(SHIFTS, np.inf)
+        for b in range(SHIFTS):
+            for a in range(SHIFTS):
                 total = least[a] + cost[k, a, b]
                 if total < ahead[b] - ROUNDING * abs(total):
                     ahead[b] = total
@@ -137,24 +135,24 @@ def _choose(cost, chosen):
 
 @njit(cache=True)
 def _choose_with_turns(turn_j_per_rad, points, side, step, cost, chosen):
-    """As `_choose`, with the turn at every vertex."""
+    """As `choose`, with the turn at every vertex."""
     legs = cost.shape[0]
-    least = np.full((_SHIFTS, _SHIFTS), np.inf)  # shift of the vertex before, and of the one here
+    least = np.full((SHIFTS, SHIFTS), np.inf)  # shift of the vertex before, and of the one here
     least[0] = cost[0, 0]
-    came = np.zeros((legs, _SHIFTS, _SHIFTS), dtype=np.int8)
+    came = np.zeros((legs, SHIFTS, SHIFTS), dtype=np.int8)
     stay = cost[0, 0, 0]
     for k in range(1, legs):
-        ahead = np.full((_SHIFTS, _SHIFTS), np.inf)
-        for b in range(_SHIFTS):
-            row1, col1 = _shifted(points, side, k, b, step)
-            for a in range(_SHIFTS):
+        ahead = np.full((SHIFTS, SHIFTS), np.inf)
+        for b in range(SHIFTS):
+            row1, col1 = shifted(points, side, k, b, step)
+            for a in range(SHIFTS):
                 if least[a, b] == np.inf:
                     continue
-                row0, col0 = _shifted(points, side, k - 1, a, step)
-                for c in range(_SHIFTS):
+                row0, col0 = shifted(points, side, k - 1, a, step)
+                for c in range(SHIFTS):
                     if cost[k, b, c] == np.inf:
                         continue
-                    row2, col2 = _shifted(points, side, k + 1, c, step)
+                    row2, col2 = shifted(points, side, k + 1, c, step)
                     turn = turn_j_per_rad * turn_angle(row0, col0, row1, col1, row2, col2)
                     total = least[a, b] + turn + cost[k, b, c]
                     if total < ahead[b, c] - ROUNDING * abs(total):

@@ -8,6 +8,7 @@ energy nearby: vertices slide along the lines, settle by Newton's method, and ar
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,12 +43,14 @@ OPEN_PARTS, CLOSED_PARTS = 4, 8
 """Parts of the side of a square on open ground, and where moves are closed beside the grid path."""
 AROUND = 2
 """How far beside a given path the cells lie among which it is improved."""
-SLIDES = (1 / 16, 1 / 32, 1 / 64)
-"""Shifts along the lines between centres [cells]: halves of what the line points leave, and so on."""
+OPEN_SPACING, CLOSED_SPACING = 1.0, 0.5
+"""Between vertices that are bent, likewise [cells]: beside closed ground a path bends within a cell."""
+SLIDES = (1 / 16, 1 / 64)
+"""Shifts along the lines between centres [cells]: half of what the line points leave, and a fourth of that."""
 PROBES = np.array([0.25, 0.0625])
 """Offsets of the finite differences in Newton's method, for vertices a cell apart [cells]."""
 BENDS = (0.25, 0.125, 1 / 32)
-"""Shifts of vertices half a cell apart [cells]: a path may bend within a cell."""
+"""Shifts of vertices across the path and along it [cells]."""
 LONG_SHIFTS = (4.0, 1.0)
 """Shifts of the corners of long legs [cells]: so a zigzag changes its angle."""
 CORNER_SHIFTS = (8.0, *LONG_SHIFTS, 0.5, 0.25, 0.125, 1 / 16, 1 / 32)
@@ -76,15 +79,27 @@ class BestPath:
     expanded: int
 
 
-def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> BestPath:
+def best_path(
+    lattice: CostLattice,
+    table: MoveTable,
+    start: Points,
+    goal: Points,
+    *,
+    read: Callable[[NDArray[np.bool_], Points], bool] | None = None,
+) -> BestPath:
     """Return the best path of any angles between two places (row, col).
+
+    read : of a lattice on disk, gets the cells and the grid path, and reads the lattice around the cells, or only
+    around the path where they are too many: then it returns false, and the path is improved where it is.
 
     Raises NoRouteError if the goal cannot be reached. For a robot that keeps to its path exactly it is at most as dear
     as the cheapest one over grid moves; else it is the best as the robot will drive it (`driven_prices`).
     """
     region = region_between(lattice, table, start, goal)
     grid, points = region.grid, region.grid.points
-    if region.cells is not None:
+    if region.cells is not None and read is not None and not read(region.cells, points):
+        points = improved(lattice, points)
+    elif region.cells is not None:
         check_stop()
         points = _cheapest_in(lattice, region.cells, points, closed=region.beside_closed, any_closed=region.any_closed)
     return BestPath(points, path_price(lattice, points), path_price(lattice, grid.points), grid.expanded)
@@ -104,7 +119,8 @@ def driven_energy_j(lattice: CostLattice, points: Points, *, like: Points) -> fl
 
     like : a path whose energy says what a metre usually costs; paths are compared with the same one.
     """
-    return float(path_energy(*_prices(lattice, like), points))
+    prices = driven_prices(lattice, _cell_j(lattice, like), penalty=MARGIN_PENALTY)  # as passages are chosen
+    return float(path_energy(prices, points))
 
 
 def tightened(lattice: CostLattice, points: Points) -> Points:
@@ -161,12 +177,14 @@ def _cheapest_in(
     prices = driven_prices(lattice, typical_j) if any_closed else exact_prices(lattice)
     known = shortcuts(prices, known)
     turning = prices.turn_j_per_rad > 0.0
-    parts = CLOSED_PARTS if closed or turning else OPEN_PARTS
+    parts, spacing = (CLOSED_PARTS, CLOSED_SPACING) if closed or turning else (OPEN_PARTS, OPEN_SPACING)
 
     def _cheapest(prices: Prices) -> Points:
         found = cheapest_over_line_points(lattice, prices, cells, known[0], known[-1], parts=parts, typical_j=typical_j)
         paths = [found, known] if len(found) and turning else [found] if len(found) else [known]
-        return min([known, *(_moved(prices, path) for path in paths)], key=lambda path: path_energy(*prices, path))
+        return min(
+            [known, *(_moved(prices, path, spacing) for path in paths)], key=lambda path: path_energy(prices, path)
+        )
 
     path = _cheapest(prices)
     if any_closed and _squeezes(lattice, path, known):
@@ -180,18 +198,18 @@ def _squeezes(lattice: CostLattice, path: Points, known: Points) -> bool:
     return sum(within_margin(lattice, path)) > sum(parts) + 2.0 * len(parts) * margin_cells(lattice)
 
 
-def _moved(prices: Prices, points: Points) -> Points:
-    """The path after all its vertices were moved to the least energy nearby."""
+def _moved(prices: Prices, points: Points, spacing: float) -> Points:
+    """The path after all its vertices, at last so many cells apart, were moved to the least energy nearby."""
     if prices.turn_j_per_rad > 0.0:
         points = _tightened(prices, points)
     else:
         for step in SLIDES:
-            points = bent(*prices, points, step, ON_LINE)
+            points = bent(prices, points, step, ON_LINE)
         points = shortcuts(prices, points)
         for step in LONG_SHIFTS:
             points = _bent(prices, points, step)
-        points = shortcuts(prices, settled(*prices[:4], subdivided(points, 1.0), PROBES))
-    points = subdivided(points, 0.5)
+        points = shortcuts(prices, settled(prices, subdivided(points, 1.0), PROBES))
+    points = subdivided(points, spacing)
     for step in BENDS:
         points = _bent(prices, points, step)
     return shortcuts(prices, points)
@@ -209,5 +227,5 @@ def _bent(prices: Prices, points: Points, step: float) -> Points:
     """The path after shifts of its vertices across it and along it."""
     check_stop()
     for direction in (ACROSS, ALONG):
-        points = bent(*prices, points, step, direction)
+        points = bent(prices, points, step, direction)
     return points

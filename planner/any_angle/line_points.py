@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from joulemap.model.frames import wrap_angle
 from joulemap.planner.any_angle.chords import AROUND, Chords, chords_of
+from joulemap.planner.any_angle.region import mark_around
 from joulemap.planner.grid.buckets import BUCKETS, put
+from joulemap.planner.grid.states import CELL_WIDTH
 from joulemap.planner.grid.stopping import check_stop, stop_flag
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.obstacles import meets
@@ -24,11 +26,31 @@ from joulemap.planner.pricing.integrator import Points, Prices, interpolation_ma
 from joulemap.planner.pricing.kernels import fill_tractions, mean_response
 from joulemap.planner.pricing.polylines import distinct
 
-_WIDTH = 0.05
-"""Width of a bucket [energy of a typical cell]; any width gives the same path."""
-
 _ROUNDING = 1e-12
 """Relative gain that counts as rounding, so that no loop of negative prices goes on for ever."""
+
+
+class _Part(NamedTuple):
+    """The cells that take part. A line point has the number kinds * number of its cell + kind."""
+
+    slot: NDArray[np.int32]  # (rows, cols): number of each cell, from 1; 0 for those that do not
+    cells: NDArray[np.int64]  # their flat indices
+    inside: NDArray[np.bool_]  # whether chords may touch them, and not only those within the margin
+
+
+class _Joined(NamedTuple):
+    """Line points that are joined to the start, or to the goal."""
+
+    points: NDArray[np.int64]  # each once
+    energy_j: NDArray[np.float64]  # of the leg between [J]
+
+
+class _Terms(NamedTuple):
+    """How the search goes about it."""
+
+    least_per_cell: float  # what a way of one cell costs at least [J]; below 0 where prices may be negative
+    per_j: float  # buckets to a joule
+    turn: NDArray[np.float64]  # (H, H): energy of turning from one heading to another [J], or (0, 0)
 
 
 @cache
@@ -54,67 +76,55 @@ def cheapest_over_line_points(
     its point, so where turning costs the path may not be the cheapest.
     """
     margin = float(prices.terms[6])
-    around = region if margin == 0.0 else binary_dilation(region, np.ones((3, 3)), math.ceil(margin))
-    cells, slot = np.flatnonzero(around), np.full(region.shape, -1, dtype=np.int32)
-    slot.ravel()[cells] = np.arange(cells.size)
-    inside = region.ravel()[cells]
+    around = region
+    if margin > 0.0:
+        around = np.zeros_like(region)
+        mark_around(around, np.flatnonzero(region), region.shape[1], math.ceil(margin))
+    cells, slot = np.flatnonzero(around), np.zeros(region.shape, dtype=np.int32)  # zeros take no memory until written
+    slot.ravel()[cells] = np.arange(1, cells.size + 1)
     chords, robot = chords_of(parts, margin), lattice.robot
-    begins, spent = _joined(lattice, slot, cells, chords, start, outward=True)
-    ends, rest = _joined(lattice, slot, cells, chords, goal, outward=False)
+    part = _Part(slot, cells, region.ravel()[cells])
+    begins, ends = (_joined(lattice, part, chords, *end) for end in ((start, True), (goal, False)))
     least = robot.hotel_per_m * lattice.frame.resolution_m if robot.regeneration == 0.0 else -math.inf
     turn = np.zeros((0, 0))
     if robot.turn_j_per_rad > 0.0:
         headings = chords.heading_rad
         turn = robot.turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
     weights = _heading_weights(parts, lattice.headings)
-    way = _cheapest(
-        *prices[:4], chords, weights, slot, cells, inside, begins, spent, ends, rest,
-        least, 1.0 / (_WIDTH * typical_j), turn, stop_flag(),
-    )  # fmt: skip
+    terms = _Terms(least, 1.0 / (CELL_WIDTH * typical_j), turn)
+    way = _cheapest(prices, chords, weights, part, begins, ends, terms, stop_flag())
     check_stop()
     return distinct(np.vstack([start[None], way, goal[None]])) if len(way) else way
 
 
-def _joined(
-    lattice: CostLattice,
-    slot: NDArray[np.int32],
-    cells: NDArray[np.int64],
-    chords: Chords,
-    place: Points,
-    *,
-    outward: bool,
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The line points of the squares in which a place lies, and the energies of the legs from it, or to it [J]."""
+def _joined(lattice: CostLattice, part: _Part, chords: Chords, place: Points, outward: bool) -> _Joined:
+    """The line points of the squares in which a place lies, with the legs from it, or to it."""
+    slot, cells = part.slot, part.cells
     kinds, (rows, cols) = len(chords.places), slot.shape
     low, high = np.maximum(np.floor(place - 1e-9), 0), np.ceil(place + 1e-9)
     top, left = low.astype(np.int64)
     bottom, right = np.minimum(high, [rows - 1, cols - 1]).astype(np.int64)
     slots = slot[top : bottom + 1, left : right + 1].ravel()
-    numbers = (kinds * slots[slots >= 0, None] + np.arange(kinds)).ravel()
+    numbers = (kinds * (slots[slots > 0, None] - 1) + np.arange(kinds)).ravel()
     corners = np.column_stack(np.divmod(cells[numbers // kinds], cols))
     there = corners + chords.places[numbers % kinds]
     inside = (there <= high).all(axis=1)
     numbers, there = numbers[inside], there[inside]
     here = np.tile(place, (len(there), 1))
     prices = leg_prices_between(lattice, *((here, there) if outward else (there, here)))
-    return numbers, np.where(np.isnan(prices), np.inf, prices)
+    return _Joined(numbers, np.where(np.isnan(prices), np.inf, prices))
 
 
 @njit(cache=True, nogil=True)
-def _cheapest(
-    traction, gradient, blocked, terms, chords, weights, slot, cells, inside, begins, spent, ends, rest,
-    least_per_cell, per_j, turn, stop,
-):  # fmt: skip
+def _cheapest(prices, chords, weights, part, begins, ends, how, stop):
     """The (row, col) of the line points of the cheapest way, (k, 2); k = 0 where there is none.
 
-    weights : of the heading bins at the headings of chords, (H, K). slot : number of each cell among those that take
-    part, -1 for the others; cells : their flat indices; inside : whether chords may touch them, and not only those
-    within the margin. A line point has the number kinds * number of its cell + kind.
-    begins, ends : line points that are joined to the start and to the goal; spent, rest : energies of joining each [J].
-    least_per_cell : what a way of one cell costs at least [J]; below 0 where prices may be negative. turn : energy of
-    turning from one heading to another (H, H) [J], or (0, 0).
+    weights : of the heading bins at the headings of chords, (H, K). begins, ends : `_Joined` to the start and the goal.
     """
+    slot, cells, inside = part
+    least_per_cell, per_j, turn = how
     rows, cols = slot.shape
+    blocked, terms = prices.blocked, prices.terms
     spacing, hotel, regeneration = terms[0], terms[1], terms[2]
     kinds = len(chords.places)
     turning, beside = turn.size > 0, chords.beside.shape[1]
@@ -127,18 +137,14 @@ def _cheapest(
     around = np.empty(AROUND * AROUND, dtype=np.int64)
     queue = np.empty((BUCKETS, 64), dtype=np.uint32)
     count = np.zeros(BUCKETS, dtype=np.int64)
-    low = np.inf
-    for k in range(ends.size):
-        joined[ends[k]] = rest[k]
-    for k in range(begins.size):
-        low = min(low, spent[k])
+    joined[ends.points] = ends.energy_j
+    low = begins.energy_j.min() if begins.points.size else np.inf
     current = np.int64(0) if low == np.inf else np.int64(math.floor(low * per_j))
     waiting = 0
-    for k in range(begins.size):
-        if spent[k] < label[begins[k]]:
-            label[begins[k]] = spent[k]
-            due = min(np.int64(math.floor(spent[k] * per_j)), current + BUCKETS - 1)
-            queue = put(queue, count, due, begins[k])
+    for point, spent in zip(begins.points, begins.energy_j):  # noqa: B905 - compiled
+        if spent < np.inf:
+            label[point] = spent
+            queue = put(queue, count, min(np.int64(math.floor(spent * per_j)), current + BUCKETS - 1), point)
             waiting += 1
     total, last = np.inf, np.int64(-1)
     while waiting > 0 and (current < total * per_j or least_per_cell < 0.0) and stop[0] == 0:
@@ -162,13 +168,11 @@ def _cheapest(
             row, col = cells[here] // cols, cells[here] % cols
             for k in range(around.size):
                 i, j = row + k // AROUND - 1, col + k % AROUND - 1
-                there = np.int64(slot[i, j]) if 0 <= i < rows and 0 <= j < cols else -1
+                there = np.int64(slot[i, j]) - 1 if 0 <= i < rows and 0 <= j < cols else -1
                 around[k] = there if there >= 0 and inside[there] else -1
                 if there >= 0 and not known[there]:
                     known[there] = True
-                    fill_tractions(
-                        at_headings[there], traction, gradient, blocked, terms, chords.directions, weights, i, j
-                    )
+                    fill_tractions(at_headings[there], prices, chords.directions, weights, i, j)
             heading_in = arrived_by[point] if turning else -1
             for n in range(chords.first[kind], chords.first[kind + 1]):
                 there = around[chords.cell[n]]
@@ -210,14 +214,12 @@ def _cheapest(
                 if arrived < before and beside > 0:
                     for k in range(beside):
                         i, j = row + chords.beside[n, k, 0], col + chords.beside[n, k, 1]
-                        there = np.int64(slot[i, j]) if 0 <= i < rows and 0 <= j < cols else -1
+                        there = np.int64(slot[i, j]) - 1 if 0 <= i < rows and 0 <= j < cols else -1
                         if there < 0:
                             continue
                         if not known[there]:
                             known[there] = True
-                            fill_tractions(
-                                at_headings[there], traction, gradient, blocked, terms, chords.directions, weights, i, j
-                            )
+                            fill_tractions(at_headings[there], prices, chords.directions, weights, i, j)
                         if math.isnan(at_headings[there, h]):
                             arrived += terms[8] * length
                             break

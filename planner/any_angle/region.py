@@ -74,21 +74,20 @@ def region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: 
         raise no_route(lattice.robot, expanded)
     cells = ahead.trace(table, last)[::-1] // layers
     grid = GridPath(joined_points(lattice, start, cells, goal), float(total), expanded)
-    closed = bool(has_closed_move(table.energy, table.offsets, np.unique(cells)))
+    closed = _closed_from(table, np.unique(cells))
     closed |= table.near.size > 0 and bool(table.near[cells].any())
     most = total + margin * abs(total)
     if closed:
         most = total + CLOSED_LAG * root_share * abs(total)
-        run_search(ahead, table, ahead.open_cells(), guide, most=most)
-    so_far = ahead.energy_j if layers == 1 else ahead.energy_j.reshape(-1, layers).min(axis=1)
+        run_search(ahead, table, ahead.reached_cells(open_only=True), guide, most=most)
     behind = new_search(table, layers, targets, rest, backward=True)
     budget = most + 1e-9 * abs(most)
-    run_search(behind, table, np.unique(targets), guide_everywhere(table, backward=True), spent=so_far, budget=budget)
-    reached = np.unique(np.flatnonzero(behind.energy_j < math.inf) // layers)
+    run_search(behind, table, np.unique(targets), guide_everywhere(table, backward=True), spent=ahead, budget=budget)
+    reached = behind.reached_cells()
     region = np.zeros(lattice.frame.shape, dtype=np.bool_)
     for part in (reached, cells):
         mark_around(region, part, lattice.frame.cols, CLOSED_GROWTH if closed else OPEN_GROWTH)
-    any_closed = closed or bool(has_closed_move(table.energy, table.offsets, np.flatnonzero(region)))
+    any_closed = closed or _closed_from(table, np.flatnonzero(region))
     return Region(grid, region, closed, any_closed)
 
 
@@ -99,6 +98,18 @@ def region_around(lattice: CostLattice, points: Points, *, half_side: int) -> ND
     cells = np.clip(np.rint(subdivided(points, 1.0)).astype(np.int64), 0, last) @ np.array([lattice.frame.cols, 1])
     mark_around(near, cells, lattice.frame.cols, half_side)
     return near
+
+
+def _closed_from(table: MoveTable, cells: NDArray[np.int64]) -> bool:
+    """As `has_closed_move`; of a tiled table, tile by tile."""
+    if table.tiles is None:
+        return bool(has_closed_move(table.energy, table.offsets, cells))
+    of = table.tiles.tile_of(cells)
+    for tile in np.unique(of).tolist():
+        table.tiles.price([tile])
+        if has_closed_move(table.energy, table.offsets, cells[of == tile]):
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)

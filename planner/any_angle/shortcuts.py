@@ -20,17 +20,16 @@ SPAN = 4
 def shortcuts(prices: Prices, points: Points) -> Points:
     """Some vertices of a (row, col) polyline that may be driven, both ends among them: at most as dear, (m, 2)."""
     never_pays = prices.terms[2] == 0.0  # no regeneration
-    return _shortened(*prices, points, SPAN, never_pays)
+    return _shortened(prices, points, SPAN, never_pays)
 
 
 @njit(cache=True, nogil=True)
-def _shortened(traction, gradient, blocked, terms, turn_j_per_rad, points, span, never_pays):
+def _shortened(prices, points, span, never_pays):
     """The path after passes of `_cheapest_chain`, while they leave vertices out. never_pays : no price is negative."""
-    arrays = (heading_memory(traction.shape[2]), traction, gradient, blocked, terms)
-    energy = path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points)
+    memory, energy = heading_memory(prices.traction.shape[2]), path_energy(prices, points)
     legs = np.full((points.shape[0], span), np.nan)
     while points.shape[0] > 2:
-        keep, total = _cheapest_chain(arrays, turn_j_per_rad, points, legs, never_pays)
+        keep, total = _cheapest_chain(memory, prices, points, legs, never_pays)
         if keep.size == points.shape[0] or not total <= energy + 1e-12 * abs(energy):
             break
         known = np.full((keep.size, span), np.nan)  # legs that the next pass need not price again
@@ -44,13 +43,13 @@ def _shortened(traction, gradient, blocked, terms, turn_j_per_rad, points, span,
 
 
 @njit(cache=True)
-def _cheapest_chain(arrays, turn_j_per_rad, points, legs, never_pays):
+def _cheapest_chain(memory, prices, points, legs, never_pays):
     """The vertices that the cheapest chain of legs keeps, and its energy [J].
 
     The turn at a vertex counts from its best chain. legs : (n, span) energy of the leg from a vertex over 1 to `span`
     vertices [J], NaN where it is not known yet, infinite where it may not be driven or is too dear; it is filled.
     """
-    memory, traction, gradient, blocked, terms = arrays
+    turn_j_per_rad = prices.turn_j_per_rad
     n, span = legs.shape
     best = np.full(n, np.inf)
     parent = np.zeros(n, dtype=np.int64)
@@ -66,8 +65,8 @@ def _cheapest_chain(arrays, turn_j_per_rad, points, legs, never_pays):
             price = legs[i, j - i - 1]
             if math.isnan(price):
                 most = best[j] - best[i] if never_pays else np.inf
-                r0, c0, r1, c1 = points[i, 0], points[i, 1], points[j, 0], points[j, 1]
-                price = driven_leg_energy(memory, traction, gradient, blocked, terms, r0, c0, r1, c1, most)
+                leg = points[i, 0], points[i, 1], points[j, 0], points[j, 1]
+                price = driven_leg_energy(memory, prices, leg, most)
                 if not price <= most:
                     price = np.inf
                 legs[i, j - i - 1] = price

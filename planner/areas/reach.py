@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 from joulemap.model.threads import both, share_out
 from joulemap.planner.any_angle.best import improved
-from joulemap.planner.grid.buckets import SETTLED
 from joulemap.planner.grid.fields import EnergyField, field_from, field_towards
 from joulemap.planner.grid.search import joined_points
 from joulemap.planner.grid.states import Search
-from joulemap.planner.grid.turning_search import SEED, state_before
+from joulemap.planner.grid.traces import state_before
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.places import free_places
 from joulemap.planner.pricing.integrator import Points
@@ -33,9 +32,8 @@ from joulemap.planner.route import Route, price_route
 Need = Callable[[Sequence[Route]], float]
 """Returns the energy [J] that a battery must have above its reserve for routes driven one after another."""
 
-FEWEST, MOST, TOGETHER = 10, 64, 4_000
-"""Anchors in a ring: as many as their routes together are so many cells long, within these limits. Chosen by trying on
-one hillside; `python -m tests.bench --reach` judges them on five maps."""
+ANCHORS = 32
+"""Of a ring: one for each heading of the moves, whose bias they correct."""
 _STEP = 0.5 * math.log(2.0)
 """Step of the rings' energies, as a natural logarithm."""
 _FIRST = 4
@@ -154,25 +152,12 @@ class ReachField:
         return np.array([need(ways) for ways in ring.ways]) / ring.base_j
 
     def _ring(self, energy_j: float) -> _Ring:
-        """Anchors among the cells just beyond an energy of the field, with their improved routes.
-
-        Half of them are spread evenly; the others come to where the ratios of neighbours differ most.
-        """
+        """Anchors, evenly spread over the cells just beyond an energy of the field, with their improved routes."""
         cells = _beyond(self.base_j, energy_j)
         if not len(cells):
             return _Ring(np.empty((0, 2)), [], np.empty(0))
-        far = np.hypot(*(cells - self.out.places[0]).T).mean() * (1 if self.back is None else 2)
-        count = min(max(int(TOGETHER / far), FEWEST), MOST)
-        taken = _spread(cells, count // 2)
-        ways = self._improved(cells[taken])
-        while len(taken) < min(count, len(cells)):
-            ratios = np.array([peak_need(way) for way in ways]) / self.base_j[tuple(cells[taken].T)]
-            more = _between(cells, taken, ratios, min(count - len(taken), math.ceil(count / 4)))
-            if not more:
-                break
-            taken += more
-            ways += self._improved(cells[more])
-        return _Ring(cells[taken].astype(np.float64), ways, self.base_j[tuple(cells[taken].T)])
+        taken = cells[_spread(cells, ANCHORS)]
+        return _Ring(taken.astype(np.float64), self._improved(taken), self.base_j[tuple(taken.T)])
 
     def _improved(self, cells: NDArray[np.int64]) -> list[list[Route]]:
         """The improved routes to some cells, and back from them."""
@@ -259,23 +244,6 @@ def _spread(cells: NDArray[np.int64], count: int) -> list[int]:
     return taken
 
 
-def _between(cells: NDArray[np.int64], taken: list[int], values: NDArray[np.float64], count: int) -> list[int]:
-    """At most `count` more of some cells: each half-way between neighbours whose values differ most."""
-    at = cells[taken].astype(np.float64)
-    apart = np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1))
-    near = np.argsort(apart, axis=1)[:, 1:4]  # (A, 3): as many neighbours as the value is interpolated between
-    gap = np.abs(values[near] - values[:, None])
-    more: list[int] = []
-    for k in np.argsort(-gap, axis=None):
-        one, other = k // near.shape[1], near[k // near.shape[1], k % near.shape[1]]
-        middle = int(np.argmin(np.hypot(*(cells - 0.5 * (at[one] + at[other])).T)))
-        if middle not in taken and middle not in more:
-            more.append(middle)
-            if len(more) == count:
-                break
-    return more
-
-
 @njit(cache=True, nogil=True)
 def _interpolate(cells, values, where, first, out):
     """Fill rows `first` and after by values at cells, weighted by the inverse fourth power of the distance.
@@ -328,16 +296,13 @@ def _along(values, pred, jump, layers, backward):
         depth = 0
         at = state
         while np.isnan(out[at]):
-            code = np.int64(pred[at]) & (SETTLED - 1) if layers == 1 else np.int64(pred[at])
-            if code == SEED:
+            before = state_before(pred, at, jump, layers, backward)
+            if before < 0:
                 out[at] = max(values[at], 0.0)
                 break
             way[depth] = at
             depth += 1
-            if layers == 1:
-                at = at + (jump[code - 1] if backward else -jump[code - 1])
-            else:
-                at = state_before(code, at, jump, backward)
+            at = before
         for k in range(depth - 1, -1, -1):
             out[way[k]] = max(out[at], values[way[k]])
             at = way[k]

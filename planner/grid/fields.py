@@ -171,6 +171,32 @@ def field_towards(lattice: CostLattice, table: MoveTable, goals: Points) -> Ener
     return _field(lattice, table, goals, np.concatenate(cells), np.concatenate(costs), backward=True)
 
 
+def field_beyond(
+    lattice: CostLattice, table: MoveTable, cells: NDArray[np.int64], rest_j: NDArray[np.float64]
+) -> EnergyField:
+    """Return the least energy from every cell to something that some cells lead to.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    cells : ndarray of int, (n,)
+        Flat indices.
+    rest_j : ndarray of float, (n,)
+        Energy from each of them on, whatever the heading [J].
+
+    Returns
+    -------
+    EnergyField
+        Towards it.
+    """
+    cost = np.repeat(rest_j[:, None], layer_count(lattice, table), axis=1)
+    places = np.column_stack(np.divmod(cells, lattice.frame.cols)).astype(np.float64)
+    return _field(lattice, table, places, cells, cost, backward=True)
+
+
 def _field(
     lattice: CostLattice,
     table: MoveTable,

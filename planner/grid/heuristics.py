@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from joulemap.planner.grid.buckets import Guide
 from joulemap.planner.pricing.integrator import Points
 from joulemap.planner.pricing.moves import MoveTable
+from joulemap.planner.pricing.tiles import reserved
 
 
 def energy_bounds(table: MoveTable) -> NDArray[np.float64]:
@@ -59,11 +60,14 @@ def guide_towards(
     col); `targets` (T,): flat cells that the goal is joined to; `rest` (T,): energy from each of them to the goal [J].
     """
     surface = table.surface.ravel()
+    if table.tiles is not None and table.lead is not None:
+        known = table.tiles.bounds(table.lead(goal, targets, rest))
+        return Guide(np.zeros((0, 2)), np.zeros(0), np.ascontiguousarray(goal), surface, known)
     pairs = bounds * [[spacing_m, 1.0]]  # [J per cell length]
     row, col = np.divmod(targets, table.energy.shape[1])
     away = np.hypot(row - goal[0], col - goal[1])
     least = (rest + pairs[:, 1:] * surface[targets] - pairs[:, :1] * away).min(axis=1, initial=np.inf)
-    return Guide(pairs, least, np.ascontiguousarray(goal), surface)
+    return Guide(pairs, least, np.ascontiguousarray(goal), surface, _unknown(table))
 
 
 def guide_everywhere(table: MoveTable, *, backward: bool) -> Guide:
@@ -73,4 +77,11 @@ def guide_everywhere(table: MoveTable, *, backward: bool) -> Guide:
     """
     pairs = dijkstra_bounds(table) * ([[1.0, -1.0]] if backward else [[1.0, 1.0]])
     pairs = pairs[pairs[:, 1] != 0.0]
-    return Guide(pairs, np.zeros(len(pairs)), np.zeros(2), table.surface.ravel())
+    surface = table.surface.ravel()
+    return Guide(pairs, np.zeros(len(pairs)), np.zeros(2), surface, _unknown(table) if len(pairs) else np.zeros(0))
+
+
+def _unknown(table: MoveTable) -> NDArray[np.float64]:
+    """Bounds of which none was computed yet: memory that is never touched costs nothing."""
+    size = table.surface.size
+    return np.zeros(size) if table.tiles is None else reserved((size,), np.dtype(np.float64)).array

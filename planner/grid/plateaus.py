@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from joulemap.planner.grid.buckets import SETTLED
 from joulemap.planner.grid.states import Search
-from joulemap.planner.grid.turning_search import SEED, TURNED_LEFT, TURNED_RIGHT, state_before
+from joulemap.planner.grid.traces import CODE, state_before
+from joulemap.planner.grid.turning_search import DROVE, TURNED_LEFT, TURNED_RIGHT
 from joulemap.planner.pricing.moves import MoveTable
 
 _NONE = -1
@@ -60,29 +60,19 @@ def _measured(reached, ahead, ahead_pred, behind, behind_pred, jump, layers):
 @njit(cache=True)
 def _shared_next(state, ahead_pred, behind_pred, jump, layers):
     """The state after one on the way to the goal where the search from the start came over the same move, else -1."""
-    if layers == 1:
-        code = behind_pred[state] & (SETTLED - 1)
-        if code == 0:
-            return _NONE
-        following = state + jump[code - 1]
-        return following if ahead_pred[following] & (SETTLED - 1) == code else _NONE
-    code = behind_pred[state]
-    if code == SEED:
+    following = state_before(behind_pred, state, jump, layers, True)
+    if following == _NONE:
         return _NONE
-    following = state_before(code, state, jump, True)
-    # what turned right on the way back is a turn to the left on the way there
-    mirrored = TURNED_LEFT if code == TURNED_RIGHT else TURNED_RIGHT if code == TURNED_LEFT else code
-    return following if ahead_pred[following] == mirrored else _NONE
+    code, came = behind_pred[state] & CODE, ahead_pred[following] & CODE
+    if layers > 1 and code != DROVE:  # what turned right on the way back is a turn to the left on the way there
+        code = TURNED_LEFT if code == TURNED_RIGHT else TURNED_RIGHT
+    return following if came == code else _NONE
 
 
 @njit(cache=True)
 def _is_shared(state, ahead, ahead_pred, behind, behind_pred, jump, layers):
     """Whether the move by which the search from the start reached a state is one that the search back used too."""
-    if layers == 1:
-        code = ahead_pred[state] & (SETTLED - 1)
-        before = state - jump[code - 1] if code > 0 else _NONE
-    else:
-        before = state_before(ahead_pred[state], state, jump, False) if ahead_pred[state] != SEED else _NONE
+    before = state_before(ahead_pred, state, jump, layers, False)
     if before == _NONE or not (ahead[before] < np.inf and behind[before] < np.inf):
         return False
     return _shared_next(before, ahead_pred, behind_pred, jump, layers) == state

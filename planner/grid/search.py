@@ -16,6 +16,7 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import Points, leg_prices_between
 from joulemap.planner.pricing.kernels import turn_angle
 from joulemap.planner.pricing.moves import MoveTable
+from joulemap.planner.pricing.polylines import distinct
 
 GRID_PLANNERS = ("astar", "dijkstra")
 _NONE = -1
@@ -124,16 +125,7 @@ def joined_points(lattice: CostLattice, start: Points, cells: NDArray[np.int64],
     fractional (row, col). Result (n, 2): (row, col) polyline.
     """
     cols = lattice.frame.cols
-    return without_repeats(np.vstack([start, np.column_stack([cells // cols, cells % cols]).astype(np.float64), goal]))
-
-
-def without_repeats(points: Points) -> Points:
-    """Return a polyline without points that repeat the one before them.
-
-    `points` (n, 2): (row, col) polyline. Result (m, 2): (row, col) polyline.
-    """
-    keep = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-12)
-    return np.ascontiguousarray(points[keep])
+    return distinct(np.vstack([start, np.column_stack([cells // cols, cells % cols]).astype(np.float64), goal]))
 
 
 def terminals(

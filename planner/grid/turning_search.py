@@ -7,75 +7,51 @@ import math
 import numpy as np
 from numba import njit
 
-from joulemap.planner.grid.buckets import BUCKETS, NEVER, bound_at, open_ring, put
+from joulemap.planner.grid.buckets import BUCKETS, NEVER, Ring, joined, new_bound, put
 
 SEED, DROVE, TURNED_RIGHT, TURNED_LEFT = 0, 1, 2, 3
 """How a state of `search_headings` was reached."""
 
 
 @njit(cache=True, nogil=True)
-def search_headings(
-    energy,
-    pred,
-    price,
-    jump,
-    near,
-    near_j,
-    gap,
-    first,
-    targets,
-    target_rest,
-    guide,
-    known,
-    cols,
-    width,
-    slack,
-    backward,
-    margin,
-    most,
-    spent,
-    budget,
-    stop,
-):
-    """Settle states where turning costs, as `search_cells` does without turning.
+def search_headings(energy, pred, moves, aim, guide, terms, first, ring, stop):
+    """Settle states where turning costs, as `search_cells` does without turning; all tiles must be there.
 
-    The state is cell * N + the heading of the robot, which is that of a move.
-
-    `energy` (states,): labels to start from [J], they are changed; `pred` (states,): `SEED`, `DROVE`, `TURNED_RIGHT` or
-    `TURNED_LEFT`, it is changed; `price` (cells, N): energy of the move that leaves a cell [J], NaN where there is
-    none; `jump` (N,): step of each move in flat indices; `near` (cells,): bit n is set where move n leaves the cell
-    within the margin, empty for no margin, see `MoveTable`; `near_j` (N,): what such a move costs more [J]; `gap` (N,):
-    energy of turning from heading k to k + 1 [J]; `first` (S,): cells to begin with; `targets` (T,): cells that are
-    joined to the goal; `target_rest` (T, N): energy from them to the goal by heading [J]; `known` (cells,): zeros,
-    bounds that were computed stand here; `width`: width of a bucket [J]; `slack`: relative gain below which a label
-    stays, above 0 where prices may be negative; `most`: energy beyond which nothing is settled [J]; `spent` (cells,):
-    energy that a path through a cell needs beside the one that is searched for [J], empty for none; `budget`: where
-    both together exceed it [J], the cell is left alone; `stop` (1,): the search ends early once this is not 0, see
-    `stopping`. Returns `last`: the last state, -1 where the goal was not reached; `total`: energy to the goal [J];
-    `expanded`: number of settled states.
+    The state is cell * N + the heading of the robot, which is that of a move. `energy` (states,): labels to start from
+    [J], they are changed; `pred` (states,): `SEED`, `DROVE`, `TURNED_RIGHT` or `TURNED_LEFT`, it is changed.
 
     From a state the robot drives straight ahead, or turns on the spot to the next heading on either side. Turns add up,
     so these reach every heading at its own price, and one round from the cheapest heading of a cell relaxes them all.
     The buckets therefore hold cells, each with a set of headings still to be driven in.
     """
-    moves = jump.size
-    cells = energy.size // moves
+    jump, near, near_j, gap = moves.jump, moves.near, moves.near_j, moves.gap
+    targets, target_rest, margin, most, spent, budget = (
+        aim.targets,
+        aim.rest,
+        aim.margin,
+        aim.most,
+        aim.spent,
+        aim.budget,
+    )
+    cols, width, slack, backward, known = terms.cols, terms.width, terms.slack, terms.backward, guide.known
+    headings_of = jump.size
+    cells = energy.size // headings_of
     steps = -jump if backward else jump
-    prices, marked = price.reshape(-1), near.size > 0
-    free = guide.pairs.shape[0] == 0
+    prices, marked = moves.price.reshape(-1), near.size > 0
+    free = known.size == 0
     due = np.full(cells, NEVER)  # the bucket in which a cell waits
     to_drive = np.zeros(cells, dtype=np.uint32)  # bit set of headings
     per_j = 1.0 / width
-    least = np.array([energy[cell * moves : (cell + 1) * moves].min() for cell in first])
-    queue, count, current, due_first = open_ring(first, least, guide, cols, per_j)
+    least = np.array([energy[cell * headings_of : (cell + 1) * headings_of].min() for cell in first])
+    ring, due_first = joined(ring, first, least, guide, terms)
+    queue, count, current, waiting = ring.queue, ring.sizes, ring.current, ring.waiting
     for k in range(first.size):
         if due_first[k] < NEVER:
-            to_drive[first[k]] = (1 << moves) - 1
-            due[first[k]] = min(due_first[k], current + BUCKETS - 1)
-    waiting = count.sum()
+            to_drive[first[k]] = (1 << headings_of) - 1
+            due[first[k]] = due_first[k]
     total = np.inf
-    last = -1
-    expanded = 0
+    last = np.int64(-1)
+    expanded = np.int64(0)
     limit = most
     shared = spent.size > 0
     while waiting > 0 and current * width < limit and stop[0] == 0:
@@ -86,19 +62,19 @@ def search_headings(
             q += 1
             if due[cell] != current:
                 continue
-            base = cell * moves
+            base = cell * headings_of
             headings = to_drive[cell] | _turn(energy, pred, base, gap)
             for t in range(targets.size):
                 if targets[t] == cell:
-                    for n in range(moves):
+                    for n in range(headings_of):
                         if energy[base + n] + target_rest[t, n] < total:
                             total = energy[base + n] + target_rest[t, n]
                             last = base + n
                             limit = min(most, total + margin * abs(total))
-            top = (current + 1) * width - (0.0 if free else bound_at(guide, cell, cols))
+            top = (current + 1) * width - new_bound(guide, cell, cols)
             later = np.inf
             left = headings
-            for n in range(moves):
+            for n in range(headings_of):
                 bit = np.uint32(1) << np.uint32(n)
                 if headings & bit == 0:
                     continue
@@ -112,10 +88,10 @@ def search_headings(
                 if other < 0 or other >= cells:
                     continue
                 leaves = other if backward else cell
-                reached = so_far + prices[leaves * moves + n]
+                reached = so_far + prices[leaves * headings_of + n]
                 if marked and near[leaves] & bit:
                     reached += near_j[n]
-                state = other * moves + n
+                state = other * headings_of + n
                 if not reached + slack * (1.0 + abs(reached)) < energy[state]:
                     continue
                 if shared and reached + spent[other] > budget:
@@ -124,7 +100,7 @@ def search_headings(
                 if not free:
                     ahead = known[other]
                     if ahead == 0.0:
-                        ahead = known[other] = bound_at(guide, other, cols)
+                        ahead = known[other] = new_bound(guide, other, cols)
                 if ahead == np.inf:
                     continue
                 energy[state] = reached
@@ -145,7 +121,7 @@ def search_headings(
         waiting -= count[here]
         count[here] = 0
         current += 1
-    return last, total, expanded
+    return Ring(queue, count, current, waiting, False, last, total, expanded, np.int64(-1))
 
 
 @njit(cache=True)
@@ -169,32 +145,3 @@ def _turn(energy, pred, base, gap):
                 cheaper |= np.uint32(1) << np.uint32(to)
             k = to
     return cheaper
-
-
-@njit(cache=True, nogil=True)
-def trace_headings(pred, jump, last, backward):
-    """Return the states that lead from one state to the seed that it was reached from.
-
-    `pred` (states,): as `search_headings` left it; `jump` (N,): step of each move in flat indices. The result is (n,).
-    """
-    count = 1
-    state = last
-    while pred[state] != SEED:
-        state = state_before(pred[state], state, jump, backward)
-        count += 1
-    out = np.empty(count, dtype=np.int64)
-    out[0] = last
-    for k in range(1, count):
-        out[k] = state_before(pred[out[k - 1]], out[k - 1], jump, backward)
-    return out
-
-
-@njit(cache=True)
-def state_before(code, state, jump, backward):
-    """Return the state that one was reached from. `jump` (N,): step of each move in flat indices."""
-    moves = jump.size
-    heading = state % moves
-    if code == DROVE:
-        return state + (jump[heading] if backward else -jump[heading]) * moves
-    other = heading - 1 if code == TURNED_RIGHT else heading + 1
-    return state - heading + (other + moves) % moves

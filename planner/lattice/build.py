@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-import signal
-import sys
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -187,82 +184,33 @@ def write_lattice(
 ) -> dict[str, Any]:
     """Write a lattice of any size to a folder, whole or not at all, holding two tiles in memory at a time.
 
-    Cut off by an exception, Ctrl-C or SIGTERM, it leaves nothing behind.
+    Cut off by an exception, Ctrl-C included, it leaves nothing behind.
 
     `source`: the model that predicts traction [J/m]. Result: the lattice's provenance, see `provenance_of`.
     """
     folder = LatticeFolder(path)
-    with _Interruptions() as interruptions, folder.whole_or_nothing():
-        with interruptions.held_back():
-            folder.lay_out(
-                tiling,
-                robot,
-                with_std=knows_spread(source, robot),
-                squares=squares_of(tiling, ground, robot),
-            )
-        writer = ThreadPoolExecutor(1)  # writes a tile while the next one is priced
+    # an interruption reaches this thread and not the one that writes: what zarr has begun ends before all is removed
+    with folder.whole_or_nothing(), ThreadPoolExecutor(1) as writer:
         try:
+            with_std, squares = knows_spread(source, robot), squares_of(tiling, ground, robot)
+            lay_out = partial(folder.lay_out, tiling, robot, with_std=with_std, squares=squares)
+            writing: Future[None] = writer.submit(lay_out)
             described = writer.submit(provenance_of, ground, robot, source, tiling)
-            writing: Future[None] | None = None
             for number, place in enumerate(tiling):
                 part = build_tile(ground, robot, source, tiling, *place)
-                if writing is not None:
-                    writing.result()
+                writing.result()
                 writing = writer.submit(folder.write, part, *place)
                 if each is not None:
                     each(part)
                 if progress is not None:
                     progress((number + 1) / len(tiling))
-            if writing is not None:
-                writing.result()
+            writing.result()
             provenance = described.result()
-        finally:
-            with interruptions.held_back():
-                writer.shutdown(cancel_futures=True)
-        with interruptions.held_back(to_the_end=True):
-            folder.finish(provenance)
+            writer.submit(folder.finish, provenance).result()
+        except BaseException:
+            writer.shutdown(cancel_futures=True)
+            raise
     return provenance
-
-
-class _Interruptions:
-    """Ctrl-C and SIGTERM raise an exception, but not while zarr writes: its own thread would go on writing, into a
-    folder that is being removed. Where somebody else listens to a signal, it is left to them.
-    """
-
-    def __init__(self) -> None:
-        self._held = False
-        self._came: int | None = None
-
-    def __enter__(self) -> _Interruptions:
-        usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
-        here = threading.current_thread() is threading.main_thread()
-        self._before = {n: old for n, old in usual.items() if here and signal.getsignal(n) == old}
-        for number in self._before:
-            signal.signal(number, self._handle)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _handle(self, number: int, _: object) -> None:
-        if self._held:
-            self._came = number
-        elif number == signal.SIGINT:
-            raise KeyboardInterrupt
-        else:
-            sys.exit(128 + number)
-
-    @contextmanager
-    def held_back(self, *, to_the_end: bool = False) -> Iterator[None]:
-        """Let what comes meanwhile wait for the end of the block; after the last block there is nothing to end."""
-        self._held = True
-        try:
-            yield
-        finally:
-            self._held = to_the_end
-            if self._came is not None and not to_the_end:
-                self._handle(self._came, None)
 
 
 def squares_of(tiling: Tiling, ground: Ground, robot: Robot) -> int:

@@ -1,16 +1,14 @@
 """Checksums of the files of a cost map: what is read from disk is what was written, or it is an error.
 
 The file `checksums` beside the arrays names every file of the folder, with its size and a CRC-32C of each piece of it.
-A part of a file is verified without reading the rest of it. A file that is not named was never written.
+A file that is not named was never written.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import secrets
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 
 import google_crc32c
@@ -21,33 +19,11 @@ from joulemap.model.errors import DamagedError
 
 FILE = "checksums"
 PIECE_BYTES = 32_768
-"""Of one checksum: small beside the rows of a chunk that are read at a time, large beside its own 4 bytes."""
+"""Of one checksum: large beside its own 4 bytes."""
 
 
 MADE_FROM_IT = "coarse-"
 """Beginning of the names of folders that are made from the others, when they are needed; they have their own."""
-
-
-class OpenFile:
-    """A file that is open; every piece that is read is verified. `size`: its length [bytes]."""
-
-    def __init__(self, source: int, size: int, pieces: NDArray[np.uint32], words: str) -> None:
-        self._source, self.size, self._pieces, self._words = source, size, pieces, words
-
-    def read(self, first: int, end: int) -> bytes:
-        """Return some bytes of the file.
-
-        As they were written; fewer where the file ends before. Raises DamagedError if they are others than were
-        written.
-        """
-        end = min(end, self.size)
-        a, b = first // PIECE_BYTES, -(-end // PIECE_BYTES)
-        begin = a * PIECE_BYTES
-        data = os.pread(self._source, min(b * PIECE_BYTES, self.size) - begin, begin)
-        for number, found in enumerate(_pieces(data), a):
-            if found != self._pieces[number]:
-                raise damaged(self._words, "its content is not what was written")
-        return data[first - begin : end - begin]
 
 
 class Checksums:
@@ -65,7 +41,7 @@ class Checksums:
         files = {}
         for file in sorted(_files(folder)):
             content = file.read_bytes()
-            pieces = np.fromiter(_pieces(content), np.uint32)
+            pieces = np.array(_pieces(content), np.uint32)
             files[file.relative_to(folder).as_posix()] = len(content), pieces
         return cls(folder, files)
 
@@ -103,27 +79,19 @@ class Checksums:
     def __iter__(self) -> Iterator[str]:
         return iter(self._files)
 
-    @contextmanager
-    def open(self, name: str) -> Iterator[OpenFile]:
-        """Open a file for reading. Raises DamagedError if the file is missing, or has another size."""
+    def content(self, name: str) -> bytes:
+        """Return a whole file. Raises DamagedError if it is missing, or damaged."""
         size, pieces = self._files[name]
         words = f"{self.folder.name}/{name}"
         try:
-            source = os.open(self.folder / name, os.O_RDONLY)
+            found = (self.folder / name).read_bytes()
         except (FileNotFoundError, NotADirectoryError):
             raise damaged(words, "it is missing") from None
-        try:
-            found = os.fstat(source).st_size
-            if found != size:
-                raise damaged(words, f"it has {found} bytes, and {size} were written")
-            yield OpenFile(source, size, pieces, words)
-        finally:
-            os.close(source)
-
-    def content(self, name: str) -> bytes:
-        """Return a whole file. Raises DamagedError if it is missing, or damaged."""
-        with self.open(name) as file:
-            return file.read(0, file.size)
+        if len(found) != size:
+            raise damaged(words, f"it has {len(found)} bytes, and {size} were written")
+        if not np.array_equal(_pieces(found), pieces):
+            raise damaged(words, "its content is not what was written")
+        return found
 
     def verify(self) -> None:
         """Read every file. Raises DamagedError if one is missing, or damaged."""
@@ -148,12 +116,9 @@ def _files(folder: Path) -> Iterator[Path]:
             yield from _files(path)
 
 
-def _pieces(content: bytes) -> Iterator[int]:
-    if len(content) <= PIECE_BYTES:
-        yield google_crc32c.value(content)
-        return
-    for begin in range(0, len(content), PIECE_BYTES):
-        yield google_crc32c.value(content[begin : begin + PIECE_BYTES])
+def _pieces(content: bytes) -> list[int]:
+    begins = range(0, max(len(content), 1), PIECE_BYTES)
+    return [google_crc32c.value(content[begin : begin + PIECE_BYTES]) for begin in begins]
 
 
 def _own(content: bytes) -> bytes:

@@ -139,13 +139,9 @@ class CostLattice:
             np.tan(np.deg2rad(self.robot.max_cross_slope_deg))
         )
 
-    @property
+    @cached_property
     def closed(self) -> Closed:
         """What closes legs beside slopes, for the pricing kernels."""
-        return Closed(self.blocked, *self._closed[1:])
-
-    @cached_property
-    def _closed(self) -> Closed:
         return closed_ground(self.blocked, self.obstacles, self.frame, self.robot)
 
     def blocked_at(self, headings_rad: NDArray[np.float64]) -> NDArray[np.uint8]:

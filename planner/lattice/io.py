@@ -18,13 +18,13 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from joulemap.model.errors import DamagedError, InputError, JoulemapError
+from joulemap.model.errors import DamagedError, InputError, JoulemapError, NotFoundError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
 from joulemap.planner.lattice import Blocked, CostLattice, checksums, older_maps
 from joulemap.planner.lattice.checked_store import CheckedStore
 from joulemap.planner.lattice.checksums import Checksums, damaged
-from joulemap.planner.lattice.chunks import read_array
+from joulemap.planner.lattice.chunks import read
 from joulemap.planner.lattice.obstacles import Obstacles
 from joulemap.planner.lattice.tiles import TILE_CELLS, Tiling
 from joulemap.planner.lattice.xarray_dataset import CRS_VARIABLE, DIMENSIONS, attributes_of, coordinates_of
@@ -326,13 +326,15 @@ def open_group(path: str | Path) -> zarr.Group:
     Raises
     ------
     InputError
-        If `path` is missing or is not a cost lattice.
+        If `path` is not a cost lattice.
+    NotFoundError
+        If it is missing.
     DamagedError
         If it is a damaged one.
     """
     path = Path(path)
     if not path.exists():
-        raise InputError(f"there is no cost map {path}", path=str(path))
+        raise NotFoundError(f"there is no cost map {path}", path=str(path))
     sums = Checksums.read(path) or _unchecked(path)
     if "zarr.json" not in sums:
         raise _no_lattice(path)
@@ -412,13 +414,13 @@ def _in_memory(path: str | Path, group: zarr.Group) -> CostLattice:
     meta: dict[str, Any] = dict(group.attrs)
     try:
         arrays: dict[str, Any] = {
-            name: read_array(group[name])  # type: ignore[arg-type]
+            name: read(group[name])  # type: ignore[arg-type]
             for name in (*_ARRAYS, *_OPTIONAL)
             if name in group
         }
         stored = obstacles_of(group)
         if stored is not None:
-            arrays[OBSTACLES] = Obstacles(read_array(stored), stored.shape[0] // int(meta["frame"]["rows"]))
+            arrays[OBSTACLES] = Obstacles(read(stored), stored.shape[0] // int(meta["frame"]["rows"]))
         return CostLattice(
             frame=GridFrame(**meta["frame"]),
             robot=Robot.from_mapping(meta["robot"]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -26,10 +27,37 @@ from joulemap.planner.lattice.obstacles import (
 from joulemap.planner.lattice.steps import SQUARE_M, obstacles_under, obstructed
 
 STEP_IN_NOISE = 7.5
-"""A step of so many standard deviations of the noise is found in all cells where it lies between two pixels, and in 57
-to 87 % inside one: kerbs of 0.19 m, maps of 0.1 to 0.25 m, as `tests/bench/survey_steps.py` makes them."""
+"""A step of so many standard deviations of the noise is found in all cells where it lies between two pixels, however
+short it is; one that is nine pixels long from five on, as `tests/bench/survey_steps.py` makes them."""
 
 _ROWS_AT_ONCE = 32
+_OUTSIDE, _UNKNOWN, _STEP = int(Blocked.OUTSIDE), int(Blocked.UNKNOWN), int(Blocked.STEP)
+
+
+class _Ground(NamedTuple):
+    """What is known of the ground."""
+
+    heights: NDArray[np.float32]  # [m]; NaN where unknown
+    room: NDArray[np.uint8]  # as of `Obstacles`, one square to the height; (0, 0) without obstacles
+    resolution_m: float
+
+
+class _Square(NamedTuple):
+    """What of the ground around a cell is judged, and for whom."""
+
+    side_m: float
+    samples: int  # along its side
+    wheel_m: float  # radius of a wheel
+    reaches_beyond: bool  # whether the robot does: unknown ground is an obstacle then
+
+
+class _Limits(NamedTuple):
+    """What `ground_limits` finds, of some rows."""
+
+    elevation: NDArray[np.float32]
+    gradient: NDArray[np.float32]
+    blocked: NDArray[np.uint8]
+    beside: NDArray[np.bool_]
 
 
 def ground_limits(
@@ -53,26 +81,14 @@ def ground_limits(
     elevation = np.empty(frame.shape, dtype=np.float32)
     gradient = np.full((*frame.shape, 2), np.nan, dtype=np.float32)
     blocked = np.zeros(frame.shape, dtype=np.uint8)
-    codes = int(Blocked.OUTSIDE), int(Blocked.UNKNOWN), int(Blocked.STEP)
     beside = np.zeros(frame.shape, dtype=np.bool_)
     steps = obstructed(heightmap, robot)
     room = np.zeros((0, 0), np.uint8) if steps is None else room_east(steps)
+    ground = _Ground(heightmap.heights, room, heightmap.resolution_m)
+    square = _Square(side_m, samples, robot.wheel_radius_m, reach_m(robot) > 0.5 * SQUARE_M)
     share_out(
         lambda rows: _ground_limits(
-            heightmap.heights,
-            room,
-            row[rows],
-            col,
-            heightmap.resolution_m,
-            side_m,
-            samples,
-            robot.wheel_radius_m,
-            reach_m(robot) > 0.5 * SQUARE_M,
-            codes,
-            elevation[rows],
-            gradient[rows],
-            blocked[rows],
-            beside[rows],
+            ground, square, row[rows], col, _Limits(elevation[rows], gradient[rows], blocked[rows], beside[rows])
         ),
         pieces(frame.rows, _ROWS_AT_ONCE),
     )
@@ -110,11 +126,11 @@ def size_warnings(ground: GridFrame, robot: Robot) -> list[str]:
 
 
 @njit(cache=True, nogil=True)
-def _ground_limits(
-    heights, room, row, col, resolution_m, side_m, samples, wheel_m, unknown_is_obstacle, codes,
-    elevation, gradient, blocked, beside,
-):  # fmt: skip
-    outside, unknown, step = codes
+def _ground_limits(ground, square, row, col, found):
+    """Fill the limits of the cells at some fractional rows and columns of the heights."""
+    heights, room, resolution_m = ground
+    side_m, samples, wheel_m, reaches_beyond = square
+    elevation, gradient, blocked, beside = found
     rows, cols = row.size, col.size
     half = 0.5 * (samples - 1)
     pitch_m = side_m / (samples - 1)
@@ -140,30 +156,21 @@ def _ground_limits(
                 or col[j] - least < -edge
                 or col[j] + least > last_col + edge
             ):
-                blocked[i, j] = outside
+                blocked[i, j] = _OUTSIDE
                 continue
-            first_row, end_row = (
-                max(math.ceil(row[i] - reach - edge), 0),
-                min(math.floor(row[i] + reach + edge), last_row),
-            )
-            first_col, end_col = (
-                max(math.ceil(col[j] - reach - edge), 0),
-                min(math.floor(col[j] + reach + edge), last_col),
-            )
+            first_row, first_col = max(math.ceil(row[i] - reach - edge), 0), max(math.ceil(col[j] - reach - edge), 0)
+            end_row = min(math.floor(row[i] + reach + edge), last_row)
+            end_col = min(math.floor(col[j] + reach + edge), last_col)
             if room.size > 0 and any_closed(room, first_row, end_row, first_col, end_col):
-                rise_east, rise_north, furthest = _plane_between(
-                    heights, room, row[i], col[j], first_row, end_row, first_col, end_col, resolution_m
-                )
+                window = first_row, end_row, first_col, end_col
+                rise_east, rise_north, furthest = _plane_between(ground, row[i], col[j], window)
                 gradient[i, j, 0] = rise_east
                 gradient[i, j, 1] = rise_north
                 beside[i, j] = True
-                if (
-                    not unknown_is_obstacle
-                    and np.isnan(heights[first_row : end_row + 1, first_col : end_col + 1]).any()
-                ):
-                    blocked[i, j] = unknown
+                if not reaches_beyond and np.isnan(heights[first_row : end_row + 1, first_col : end_col + 1]).any():
+                    blocked[i, j] = _UNKNOWN
                 elif furthest > 2.0 * wheel_m:
-                    blocked[i, j] = step
+                    blocked[i, j] = _STEP
                 continue
             mean, rise_east, rise_north = 0.0, 0.0, 0.0
             for a in range(samples):
@@ -178,7 +185,7 @@ def _ground_limits(
             rise_north /= spread
             mean /= samples * samples
             if math.isnan(rise_east):
-                blocked[i, j] = unknown
+                blocked[i, j] = _UNKNOWN
                 continue
             gradient[i, j, 0] = rise_east
             gradient[i, j, 1] = rise_north
@@ -189,16 +196,19 @@ def _ground_limits(
                     plane = mean + offsets[b] * rise_east - offsets[a] * rise_north
                     furthest = max(furthest, abs(of[b] - plane))
             if furthest > 2.0 * wheel_m:
-                blocked[i, j] = step
+                blocked[i, j] = _STEP
 
 
 @njit(cache=True)
-def _plane_between(heights, room, row, col, first_row, end_row, first_col, end_col, resolution_m):
+def _plane_between(ground, row, col, window):
     """The plane through the ground of a square that is joined to its middle without an obstacle between.
 
+    row, col : its middle. window : its first and last row, its first and last column.
     Returns its rise per metre to east and north, and how far the ground departs from it [m]; zeros where the middle is
     an obstacle, or the ground is too little for a plane.
     """
+    heights, room, resolution_m = ground
+    first_row, end_row, first_col, end_col = window
     high, wide = end_row - first_row + 1, end_col - first_col + 1
     seen = np.zeros((high, wide), dtype=np.bool_)
     stack = np.empty((high * wide, 2), dtype=np.int64)

@@ -20,7 +20,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.planner.lattice import Blocked
 from joulemap.planner.lattice.checked_store import CheckedStore
 from joulemap.planner.lattice.checksums import Checksums, damaged
-from joulemap.planner.lattice.chunks import read_chunk
+from joulemap.planner.lattice.chunks import read
 
 _CODES = np.array([int(code) for code in Blocked], dtype=np.uint8)
 
@@ -88,7 +88,9 @@ def _check_chunks(folder: Path, sums: Checksums, arrays: dict[str, Any], i: int,
     A chunk without a file holds nothing but unknown cells. A free cell has known values; one whose values are all known
     is not unknown.
     """
-    chunk = {name: read_chunk(array, i, j) for name, array in arrays.items()}
+    high, wide = arrays["blocked"].chunks[:2]
+    part = np.s_[i * high : (i + 1) * high, j * wide : (j + 1) * wide]
+    chunk = {name: read(array, part) for name, array in arrays.items()}
     blocked: NDArray[np.uint8] = chunk["blocked"]
     if not np.isin(blocked, _CODES).all():
         raise damaged(f"{folder.name}/blocked", "it has codes that say nothing")

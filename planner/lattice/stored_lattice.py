@@ -28,13 +28,22 @@ _FILLS: dict[str, float] = {
     "blocked": int(Blocked.OUTSIDE),
     "std_j": np.nan,
 }
-_LIMITS = ("gradient", "blocked")
 
 
 class StoredLattice:
     """A lattice folder, opened without reading its arrays. Several threads may ask at once.
 
-    Raises DamagedError if it is a damaged one, here or when a window is read.
+    Parameters
+    ----------
+    path : str or Path
+        The folder.
+    kept_bytes : int
+        Most memory for chunks that were read.
+
+    Raises
+    ------
+    DamagedError
+        If it is a damaged one, here or when a window is read.
     """
 
     def __init__(self, path: str | Path, *, kept_bytes: int = 100_000_000) -> None:
@@ -57,7 +66,13 @@ class StoredLattice:
         self._avoided: tuple[Polygon, ...] = ()
 
     def avoiding(self, areas: tuple[Polygon, ...]) -> StoredLattice:
-        """Return the same lattice, which shares what was read, with the cells of some polygons blocked."""
+        """Return the same lattice, which shares what was read, with the cells of some polygons blocked.
+
+        Parameters
+        ----------
+        areas : tuple of polygons
+            Closed ground, each (n, 2) world x, y [m].
+        """
         other = copy(self)
         other._avoided = areas
         return other
@@ -73,7 +88,15 @@ class StoredLattice:
         return self.frame.rows * self.frame.cols
 
     def window(self, row0: int, row1: int, col0: int, col1: int, *, what: tuple[str, ...] | None = None) -> CostLattice:
-        """Return the lattice of cells [row0, row1) x [col0, col1); what lies beyond the map is blocked."""
+        """Return the lattice of some cells; what lies beyond the map is blocked.
+
+        Parameters
+        ----------
+        row0, row1, col0, col1 : int
+            The cells [row0, row1) x [col0, col1), which may lie beyond the map.
+        what : tuple of str, optional
+            Names of the arrays to be read; the others are unknown. All without it.
+        """
         arrays: dict[str, Any] = {}
         shape = row1 - row0, col1 - col0
         for name, of in self._arrays.items():
@@ -96,7 +119,13 @@ class StoredLattice:
         return 0 if self._room is None else int(self._room.shape[0]) // self.frame.rows
 
     def room(self, rows: slice, cols: slice) -> NDArray[np.uint8]:
-        """Return `Obstacles.room` under some cells."""
+        """Return `Obstacles.room` under some cells.
+
+        Parameters
+        ----------
+        rows, cols : slice
+            The cells, each with a start and a stop.
+        """
         n = self.squares_per_cell
         return self.read(self._room, 0, rows.start * n, rows.stop * n, cols.start * n, cols.stop * n)  # type: ignore[arg-type]
 
@@ -108,14 +137,17 @@ class StoredLattice:
         found = self.read(room, 0, *around)
         return Obstacles(found, n, margin * n, margin * n) if (found == 0).any() else None
 
-    def limits(self, row0: int, row1: int, col0: int, col1: int) -> CostLattice:
-        """Return a window with gradients and blocked cells only."""
-        return self.window(row0, row1, col0, col1, what=_LIMITS)
-
     def read(self, of: zarr.Array[Any], fill: float, row0: int, row1: int, col0: int, col1: int) -> NDArray[Any]:
         """Return a window of an array over the cells of this lattice, or of the squares of its obstacles.
 
-        `of` (rows, cols, ...): the array, chunked along rows and columns alone.
+        Parameters
+        ----------
+        of : zarr.Array
+            (rows, cols, ...), chunked along rows and columns alone.
+        fill : float
+            What lies beyond the map.
+        row0, row1, col0, col1 : int
+            The cells or squares [row0, row1) x [col0, col1).
         """
         high, wide = of.chunks[:2]
         out = np.full((row1 - row0, col1 - col0, *of.shape[2:]), fill, dtype=of.dtype)
@@ -124,7 +156,7 @@ class StoredLattice:
             for j in range(max(col0, 0) // wide, -(-min(col1, cols) // wide)):
                 top, down = max(i * high, row0), min((i + 1) * high, row1, rows)
                 left, right = max(j * wide, col0), min((j + 1) * wide, col1, cols)
-                out[top - row0 : down - row0, left - col0 : right - col0] = self._chunks.get(
-                    of, i, j, (top - i * high, down - i * high), (left - j * wide, right - j * wide)
-                )
+                out[top - row0 : down - row0, left - col0 : right - col0] = self._chunks.get(of, i, j)[
+                    top - i * high : down - i * high, left - j * wide : right - j * wide
+                ]
         return out

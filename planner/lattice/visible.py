@@ -49,13 +49,13 @@ class VisibleFeatures:
 
     def in_words(self, robot: Robot) -> tuple[str, str, str]:
         """Return a sentence on slopes, on bumps and on steps, for this robot."""
-        slopes = f"within {self.slope_std_deg:.1g} degrees over {SQUARE_M:g} m"
+        slopes = f"a standard error of {self.slope_std_deg:.1g} degrees over {SQUARE_M:g} m"
         wheel_m = 2.0 * robot.wheel_radius_m
         bumps = f"those longer than {self.shortest_bump_m:.2g} m and higher than {1000 * self.least_bump_m:.0f} mm"
         if self.shortest_bump_m > 4.0 * wheel_m:
             bumps += f"; shorter ones, which wheels of {wheel_m:g} m feel, are not in the energies"
         if self.least_step_m is None:
-            steps = f"none: cells are wider than a wheel of {wheel_m:g} m"
+            steps = f"cannot be seen: cells are wider than a wheel of {wheel_m:g} m"
         elif self.least_step_m > robot.wheel_radius_m:
             steps = (
                 f"those of {self.least_step_m:.2g} m and more; lower ones, which stop {robot.name} from "

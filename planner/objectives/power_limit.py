@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import replace
-from typing import Any
 from weakref import WeakKeyDictionary
 
 from joulemap.model.errors import InputError, NoRouteError
@@ -13,7 +12,7 @@ from joulemap.planner.answers import Plan
 from joulemap.planner.grid.search import grid_search
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import Points, path_price
-from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.route_planner import USUAL, RouteOptions, RoutePlanner
 
 _MAKING = threading.Lock()
 _MADE: WeakKeyDictionary[RoutePlanner, PowerLimited] = WeakKeyDictionary()
@@ -75,14 +74,14 @@ class PowerLimited(RoutePlanner):
         super().__init__(replace(lattice, max_traction_per_m=most))
         self.max_power_w = max_power_w
 
-    def plan(self, start_xy: tuple[float, float], goal_xy: tuple[float, float], **options: Any) -> Plan:
+    def plan(self, start_xy: tuple[float, float], goal_xy: tuple[float, float], how: RouteOptions = USUAL) -> Plan:
         """Return routes within the power, as `RoutePlanner.plan`.
 
         Parameters
         ----------
         start_xy, goal_xy : tuple of float
             World x, y [m].
-        **options
+        how : RouteOptions, optional
             As there.
 
         Returns
@@ -96,7 +95,7 @@ class PowerLimited(RoutePlanner):
             If there is none; the message names the power.
         """
         try:
-            return super().plan(start_xy, goal_xy, **options)
+            return super().plan(start_xy, goal_xy, how)
         except NoRouteError as error:
             raise NoRouteError(
                 f"with at most {self.max_power_w:g} W {error.message}", **error.context, max_power_w=self.max_power_w

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import zarr
@@ -27,13 +28,14 @@ from joulemap.planner.lattice.checked_store import CheckedStore
 from joulemap.planner.lattice.checksums import MADE_FROM_IT, Checksums
 from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.planner.pricing.move_prices import MovePrices
-from joulemap.planner.pricing.potential import SWEEPS
+from joulemap.planner.pricing.moves import EVERY
+from joulemap.planner.pricing.potential import SWEEPS, levelled
 
 BLOCK_CELLS = 32
 """Side of a block: fine enough to follow hills, coarse enough that a map of 10,000 x 10,000 cells has 100,000."""
 SHARES = (1.0, 0.5, 0.0)
 """Shares of the rise that are taken from the energies; where prices are low on descents a smaller one says more."""
-_VERSION = 2
+_VERSION = 3
 _THREADS = 2
 _COMPRESSOR = BloscCodec(cname="lz4", clevel=1, shuffle="shuffle")
 
@@ -51,6 +53,8 @@ class CoarseLevel:
         Shares of the rise.
     block_cells : int
         Side of a block B.
+    typical_j : float
+        Mean size of a price, as `MoveTable.typical_j` [J].
     surface : zarr array of float32, (rows, cols)
         What a rise is counted on [J]; on disk.
     """
@@ -58,6 +62,7 @@ class CoarseLevel:
     least_per_m: NDArray[np.float32]
     shares: NDArray[np.float64]
     block_cells: int
+    typical_j: float
     surface: zarr.Array[Any]
 
 
@@ -136,7 +141,8 @@ def _opened(place: Path) -> CoarseLevel | None:
     assert isinstance(surface, zarr.Array)
     assert isinstance(least, zarr.Array)
     shares = np.array(group.attrs["shares"], dtype=np.float64)
-    return CoarseLevel(np.asarray(least[:]), shares, int(str(group.attrs["block_cells"])), surface)
+    block_cells, typical_j = int(str(group.attrs["block_cells"])), float(str(group.attrs["typical_j"]))
+    return CoarseLevel(np.asarray(least[:]), shares, block_cells, typical_j, surface)
 
 
 def _make(
@@ -159,107 +165,55 @@ def _make(
     margin = (SWEEPS + 2) * moves.reach  # so the surface does not depend on how the map is cut
     tiles = [(r, c) for r in range(0, rows, side) for c in range(0, cols, side)]
 
-    def _tile(corner: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.float32], NDArray[np.float32]]:
+    sampled, joining = np.zeros(2), threading.Lock()
+
+    def _add(corner: tuple[int, int]) -> None:
         row, col = corner
         row1, col1 = min(row + side, rows), min(col + side, cols)
-        part = stored.window(
-            row - margin,
-            row1 + margin,
-            col - margin,
-            col1 + margin,
-            what=("traction_per_m", "gradient", "blocked", "elevation_m"),
-        )
+        around = row - margin, row1 + margin, col - margin, col1 + margin
+        part = stored.window(*around, what=("traction_per_m", "gradient", "blocked", "elevation_m"))
         energy = moves.energies(part)
         height = stored.robot.weight_n * np.nan_to_num(part.elevation_m.astype(np.float64))
-        level = _averaged(energy, moves.offsets, height, SWEEPS).astype(np.float32)
-        first = max(row // block - 1, 0), max(col // block - 1, 0)
-        last = min((row1 + moves.reach) // block + 1, blocks[0]), min((col1 + moves.reach) // block + 1, blocks[1])
-        own = np.full(
-            (len(SHARES), last[0] - first[0], last[1] - first[1], len(moves.offsets)), np.inf, dtype=np.float32
-        )
-        _least_of_blocks(
-            energy,
-            level,
-            moves.offsets,
-            length_m,
-            shares,
-            block,
-            moves.reach,
-            margin,
-            row - first[0] * block,
-            col - first[1] * block,
-            row1 - row,
-            col1 - col,
-            own,
-        )
-        return first, own, np.ascontiguousarray(level[margin:-margin, margin:-margin])
+        level = levelled(np.ascontiguousarray(energy.transpose(1, 2, 0)), moves.offsets, height).astype(np.float32)
+        surface[row:row1, col:col1] = level[margin:-margin, margin:-margin]
+        i, j = max(row // block - 1, 0), max(col // block - 1, 0)
+        i1, j1 = (min((end + moves.reach) // block + 1, size) for end, size in zip((row1, col1), blocks, strict=True))
+        own = np.full((len(SHARES), i1 - i, j1 - j, len(moves.offsets)), np.inf, dtype=np.float32)
+        tile = _Tile(row - i * block, col - j * block, row1 - row, col1 - col, margin)
+        _least_of_blocks(energy, level, tile, moves.offsets, length_m, shares, block, own)
+        sample = energy[:, margin + -row % EVERY : -margin : EVERY, margin + -col % EVERY : -margin : EVERY]
+        sample = sample[np.isfinite(sample)]
+        with joining:
+            np.minimum(least[:, i:i1, j:j1], own, out=least[:, i:i1, j:j1])
+            sampled[:] += np.abs(sample).sum(dtype=np.float64), sample.size
 
     with ThreadPoolExecutor(_THREADS) as pool:
-        ahead = 4 * _THREADS
-        waiting = [pool.submit(_tile, corner) for corner in tiles[:ahead]]
-        try:
-            for number, (row, col) in enumerate(tiles):
-                (i, j), own, level = waiting[number].result()
-                waiting[number] = None  # type: ignore[call-overload]
-                if number + ahead < len(tiles):
-                    waiting.append(pool.submit(_tile, tiles[number + ahead]))
-                here = least[:, i : i + own.shape[1], j : j + own.shape[2]]
-                np.minimum(here, own, out=here)
-                surface[row : row + level.shape[0], col : col + level.shape[1]] = level
-                if progress is not None:
-                    progress((number + 1) / len(tiles))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+        for number, _ in enumerate(pool.map(_add, tiles), 1):
+            if progress is not None:
+                progress(number / len(tiles))
     group.create_array("least_per_m", data=least, compressors=_COMPRESSOR)
-    group.attrs.update({"version": _VERSION, "shares": list(SHARES), "block_cells": block})
+    typical_j = float(sampled[0] / sampled[1]) if sampled[0] > 0.0 else 1.0
+    group.attrs.update({"version": _VERSION, "shares": list(SHARES), "block_cells": block, "typical_j": typical_j})
+
+
+class _Tile(NamedTuple):
+    """Cells of which moves start."""
+
+    row: int  # of its corner, as seen from the corner of the blocks around it
+    col: int
+    height: int
+    width: int
+    margin: int  # further cells around it
 
 
 @njit(cache=True, nogil=True)
-def _averaged(energy, offsets, surface, sweeps):
-    """(rows, cols) float64 [J]: `potential._levelled`, some times, on this thread and for planes of moves."""
-    moves, rows, cols = energy.shape
-    half, stride = moves // 2, max(moves // 8, 1)
-    excess = np.full((half, rows, cols), np.nan)  # half of what a move costs more than its way back
-    count = np.zeros((rows, cols))
-    for n in range(0, half, stride):
-        down, right = offsets[n, 0], offsets[n, 1]
-        col0, col1 = max(0, -right), min(cols, cols - right)
-        for i in range(max(0, -down), min(rows, rows - down)):
-            for j in range(col0, col1):
-                value = 0.5 * (energy[n, i, j] - energy[n + half, i + down, j + right])
-                excess[n, i, j] = value
-                if value == value:
-                    count[i, j] += 1.0
-                    count[i + down, j + right] += 1.0
-    for _ in range(sweeps):
-        total = np.zeros((rows, cols))
-        for n in range(0, half, stride):
-            down, right = offsets[n, 0], offsets[n, 1]
-            col0, col1 = max(0, -right), min(cols, cols - right)
-            for i in range(max(0, -down), min(rows, rows - down)):
-                for j in range(col0, col1):
-                    value = excess[n, i, j]
-                    if value == value:
-                        total[i, j] += surface[i + down, j + right] - value
-                        total[i + down, j + right] += surface[i, j] + value
-        after = surface.copy()
-        for i in range(rows):
-            for j in range(cols):
-                if count[i, j] > 0.0:
-                    after[i, j] = total[i, j] / count[i, j]
-        surface = after
-    return surface
-
-
-@njit(cache=True, nogil=True)
-def _least_of_blocks(energy, surface, offsets, length_m, shares, block, reach, margin, row, col, height, width, least):
+def _least_of_blocks(energy, surface, tile, offsets, length_m, shares, block, least):
     """Fill `least` (S, blocks, blocks, N) with the least energies of the moves that start in a tile.
 
-    energy : (N, ...) and surface have `margin` cells around the tile; (row, col) is the tile's corner as seen from the
-    corner of `least`. A move touches the blocks within `reach` of its start.
+    energy : (N, ...) and surface have the tile's margin around it. A move touches the blocks within reach of its start.
     """
-    moves = offsets.shape[0]
+    row, col, height, width, margin = tile
+    moves, reach = offsets.shape[0], np.abs(offsets).max()
     spare = np.empty((shares.size, width), dtype=np.float32)
     for n in range(moves):
         down, right = offsets[n, 0], offsets[n, 1]

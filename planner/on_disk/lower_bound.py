@@ -19,7 +19,6 @@ Johnson 1977 (potentials); Agmon 1954, Motzkin & Schoenberg 1954 (projections fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
@@ -38,26 +37,10 @@ _CAP = 3.0
 """What a block without moves costs in the first guess, in medians; no inequality holds there."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Potential:
-    """One lower bound, without its constant.
-
-    Attributes
-    ----------
-    share : float
-        Share s of the surface.
-    nodes_j : ndarray of float64, (block rows + 1, block cols + 1)
-        phi at the corners of the blocks [J].
-    """
-
-    share: float
-    nodes_j: NDArray[np.float64]
-
-
 def potentials_towards(
     coarse: CoarseLevel, goal: NDArray[np.float64], unit: NDArray[np.float64], spacing_m: float
-) -> list[Potential]:
-    """Return lower bounds towards a goal.
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return lower bounds towards a goal, without their constants.
 
     Parameters
     ----------
@@ -72,15 +55,17 @@ def potentials_towards(
 
     Returns
     -------
-    list of Potential
-        One for every share of the rise for which there is any; may be empty where prices are negative.
+    shares : ndarray of float64, (P,)
+        Shares s of the surface: of the rise, for which there is a bound.
+    nodes_j : ndarray of float64, (P, block rows + 1, block cols + 1)
+        phi of each at the corners of the blocks [J].
     """
-    found = []
+    shares, found = [], []
     side = coarse.block_cells * spacing_m
     for share, least in zip(coarse.shares.tolist(), coarse.least_per_m, strict=True):
         finite = np.isfinite(least)
         if not finite.any():
-            return [Potential(0.0, np.zeros((least.shape[0] + 1, least.shape[1] + 1)))]
+            return np.zeros(1), np.zeros((1, least.shape[0] + 1, least.shape[1] + 1))
         typical = float(np.median(least[finite]))
         nodes = np.zeros((least.shape[0] + 1, least.shape[1] + 1))
         if typical > 0.0:
@@ -92,8 +77,9 @@ def potentials_towards(
                 nodes[:] = 0.0
             nodes /= 1.0 + over
         if nodes.any() or least.min() >= 0.0:  # the least bound of all is that nothing is cheaper than the rise
-            found.append(Potential(share, nodes))
-    return found
+            shares.append(share)
+            found.append(nodes)
+    return np.array(shares), np.stack(found)
 
 
 def _first_guess(
@@ -138,6 +124,7 @@ def _to_goal(price, offsets, row, col):
 
 def _shifted(step: int, size: int) -> tuple[slice, slice]:
     """From where and to where a step leads within an axis."""
+    step = min(max(step, -size), size)
     return slice(max(0, -step), min(size, size - step)), slice(max(0, step), min(size, size + step))
 
 
@@ -210,7 +197,7 @@ def fill_bounds(out, surface, row, col, nodes, shares, constants, block):
 
     Parameters
     ----------
-    out : ndarray of float32, (height, width)
+    out : ndarray of float64, (height, width)
         Is filled [J].
     surface : ndarray of float32, (height, width)
         The surface of these cells [J].

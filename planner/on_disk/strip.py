@@ -7,8 +7,6 @@ What was not read counts as blocked, so no leg can lead there unseen.
 from __future__ import annotations
 
 import math
-import mmap
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.obstacles import Obstacles, reach_m
 from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.planner.pricing.integrator import Points
+from joulemap.planner.pricing.tiles import reserved
 
 BLOCK_CELLS = 32
 """Side of what is read at once."""
@@ -31,13 +30,13 @@ class Strip:
         rows, cols = stored.frame.shape
         self._read = np.zeros((-(-rows // BLOCK_CELLS), -(-cols // BLOCK_CELLS)), dtype=np.bool_)
         arrays: dict[str, Any] = {
-            name: reserved((rows, cols, *more), dtype) for name, (more, dtype) in stored.arrays.items()
+            name: reserved((rows, cols, *more), dtype).array for name, (more, dtype) in stored.arrays.items()
         }
         arrays["blocked"][:] = int(Blocked.UNKNOWN)
         n = stored.squares_per_cell
         self._reach = math.ceil(reach_m(stored.robot) / stored.frame.resolution_m) + 1 if n else 0
         if n:  # unread squares are obstacles
-            arrays["obstacles"] = Obstacles(reserved((n * rows, n * cols), np.dtype(np.uint8)), n, growing=True)
+            arrays["obstacles"] = Obstacles(reserved((n * rows, n * cols), np.dtype(np.uint8)).array, n, growing=True)
         self.lattice = CostLattice(stored.frame, stored.robot, provenance=stored.provenance, **arrays)
 
     @property
@@ -59,7 +58,20 @@ class Strip:
                 wanted[self._near(row, cells), self._near(col, cells)] = True
         if len(points) == 1:
             wanted[self._near(points[0, 0], cells), self._near(points[0, 1], cells)] = True
-        new = wanted & ~self._read
+        self._read_new(wanted & ~self._read)
+
+    def read_around(self, cells: NDArray[np.int64], *, beside: int) -> None:
+        """Read what lies within `beside` cells, less than a block, of some flat cells."""
+        wanted = np.zeros_like(self._read)
+        places = np.column_stack(np.divmod(cells, self.lattice.frame.cols))
+        for down in (-beside, beside):
+            for right in (-beside, beside):
+                corners = np.clip(places + np.array([down, right]), 0, np.array(self.lattice.frame.shape) - 1)
+                wanted[tuple((corners // BLOCK_CELLS).T)] = True
+        self._read_new(wanted & ~self._read)
+
+    def _read_new(self, new: NDArray[np.bool_]) -> None:
+        """Read blocks, those of a chunk at once."""
         blocks = max(self._stored.chunk // BLOCK_CELLS, 1)
         for i in range(0, new.shape[0], blocks):
             for j in range(0, new.shape[1], blocks):
@@ -90,18 +102,3 @@ class Strip:
     @staticmethod
     def _near(place: float, cells: int) -> slice:
         return slice(max(int(place - cells) // BLOCK_CELLS, 0), int(place + cells) // BLOCK_CELLS + 1)
-
-
-def reserved(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return an array of zeros that takes no memory yet, whatever its size.
-
-    Result: the system gives it memory page by page, as they are written, and never in huge pages: these would take
-    several times what is written.
-    """
-    size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
-    flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | getattr(mmap, "MAP_NORESERVE", 0)
-    memory = mmap.mmap(-1, size, flags=flags)
-    if hasattr(mmap, "MADV_NOHUGEPAGE"):
-        with suppress(OSError):  # a system without huge pages
-            memory.madvise(mmap.MADV_NOHUGEPAGE)
-    return np.frombuffer(memory, dtype=dtype).reshape(shape)

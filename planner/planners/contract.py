@@ -22,15 +22,12 @@ class Options:
         Longest time for planners that search until it is over [s].
     seed : int
         Seed of planners that draw random numbers.
-    from_grid : bool
-        Whether a sampling planner starts from the path of the grid search.
     progress : callable or None
         Called with the share of the time limit that is over, 0..1.
     """
 
     time_limit_s: float = 5.0
     seed: int = 0
-    from_grid: bool = False
     progress: Callable[[float], None] | None = None
 
 

@@ -19,8 +19,8 @@ from joulemap.planner.pricing.kernels import (
     path_energy,
     polyline_energies,
 )
+from joulemap.planner.pricing.polylines import Points, subdivided
 
-Points = NDArray[np.float64]
 LEAST_MARGIN_CELLS, MOST_MARGIN_CELLS = 0.5, 3.0
 """Least and largest margin to ground that may not be driven, for a robot that does not keep to its path exactly. Within
 a wider one every leg would take long to price; a coarser map keeps it."""
@@ -50,23 +50,6 @@ def price_terms(lattice: CostLattice) -> NDArray[np.float64]:
     return np.array([lattice.frame.resolution_m, robot.hotel_per_m, robot.regeneration, *limits, 0.0, 0.0, 0.0])
 
 
-def price_arrays(lattice: CostLattice) -> tuple[NDArray, NDArray, Closed, NDArray]:
-    """Return the first arguments of every pricing kernel.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-
-    Returns
-    -------
-    tuple
-        `traction_per_m` (rows, cols, headings) [J/m], `gradient` (rows, cols, 2), `CostLattice.closed`, and
-        `price_terms` (9,).
-    """
-    return lattice.traction_per_m, lattice.gradient, lattice.closed, price_terms(lattice)
-
-
 def margin_cells(lattice: CostLattice) -> float:
     """Return how far paths keep from ground that may not be driven.
 
@@ -86,21 +69,13 @@ def margin_cells(lattice: CostLattice) -> float:
 
 
 class Prices(NamedTuple):
-    """The first arguments of every kernel that prices a path.
+    """What every kernel that prices a leg reads."""
 
-    Attributes
-    ----------
-    traction, gradient, blocked, terms : ndarray
-        As for `kernels.leg_energy`.
-    turn_j_per_rad : float
-        Energy of turning on the spot [J/rad].
-    """
-
-    traction: NDArray[np.float32]
-    gradient: NDArray[np.float32]
-    blocked: Closed
-    terms: NDArray[np.float64]
-    turn_j_per_rad: float
+    traction: NDArray[np.float32]  # (rows, cols, K): of the lattice [J/m]
+    gradient: NDArray[np.float32]  # (rows, cols, 2): rise per metre towards east and north
+    blocked: Closed  # of the lattice
+    terms: NDArray[np.float64]  # (9,): see `price_terms`
+    turn_j_per_rad: float  # energy of turning on the spot
 
 
 def exact_prices(lattice: CostLattice) -> Prices:
@@ -116,7 +91,8 @@ def exact_prices(lattice: CostLattice) -> Prices:
     Prices
         No margin is kept.
     """
-    return Prices(*price_arrays(lattice), lattice.robot.turn_j_per_rad)
+    arrays = lattice.traction_per_m, lattice.gradient, lattice.closed, price_terms(lattice)
+    return Prices(*arrays, lattice.robot.turn_j_per_rad)
 
 
 def driven_prices(lattice: CostLattice, cell_j: float, *, penalty: float = SHAPE_PENALTY) -> Prices:
@@ -182,15 +158,11 @@ def within_margin(lattice: CostLattice, points: Points) -> list[float]:
     margin = margin_cells(lattice)
     if margin == 0.0 or len(points) < 2:
         return []
-    length = np.hypot(*np.diff(points, axis=0).T)
-    pieces = np.maximum(1, np.ceil(2.0 * length - 1e-9)).astype(int)
-    leg = np.repeat(np.arange(pieces.size), pieces)
-    first = (np.arange(leg.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[leg]
-    step = (points[leg + 1] - points[leg]) / pieces[leg, None]
-    starts = points[leg] + first[:, None] * (points[leg + 1] - points[leg])
+    fine = subdivided(points, 0.5)
+    starts, step = fine[:-1], np.diff(fine, axis=0)
     side = np.column_stack([step[:, 1], -step[:, 0]]) / np.maximum(np.hypot(*step.T), 1e-12)[:, None]
     shifts = [margin * k / math.ceil(margin) for k in range(-math.ceil(margin), math.ceil(margin) + 1)]
-    closed = np.zeros(leg.size, dtype=np.bool_)
+    closed = np.zeros(len(step), dtype=np.bool_)
     ahead = margin * step / np.maximum(np.hypot(*step.T), 1e-12)[:, None]
     for shift in shifts:
         closed |= np.isnan(
@@ -245,7 +217,7 @@ def leg_prices(lattice: CostLattice, points: Points) -> NDArray[np.float64]:
     ndarray of float, (n - 1,)
         Energy [J]; NaN where a leg may not be driven.
     """
-    return polyline_energies(*price_arrays(lattice), np.ascontiguousarray(points, dtype=np.float64))
+    return polyline_energies(exact_prices(lattice), np.ascontiguousarray(points, dtype=np.float64))
 
 
 def leg_prices_between(lattice: CostLattice, starts: Points, ends: Points) -> NDArray[np.float64]:
@@ -269,7 +241,7 @@ def leg_prices_between(lattice: CostLattice, starts: Points, ends: Points) -> ND
     heading, bilinear between cell centres. It is exact, so cutting a leg leaves its energy unchanged.
     """
     legs = np.ascontiguousarray(np.hstack([starts, ends]), dtype=np.float64)
-    return leg_energies(*price_arrays(lattice), legs)
+    return leg_energies(exact_prices(lattice), legs)
 
 
 def path_price(lattice: CostLattice, points: Points) -> float:
@@ -287,31 +259,7 @@ def path_price(lattice: CostLattice, points: Points) -> float:
     float
         Energy [J]; NaN where a leg may not be driven.
     """
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    return float(path_energy(*price_arrays(lattice), lattice.robot.turn_j_per_rad, points))
-
-
-def price_world_path(lattice: CostLattice, xy: ArrayLike) -> float:
-    """Return the energy of a polyline of world points with its turns.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    xy : array_like, (n, 2 or 3)
-        World x, y [m]; a third column is not used.
-
-    Returns
-    -------
-    float
-        Energy [J]; NaN where a leg may not be driven.
-
-    Raises
-    ------
-    PointError
-        If a point is not finite, or the array has another shape.
-    """
-    return path_price(lattice, world_points(lattice, xy))
+    return float(path_energy(exact_prices(lattice), np.ascontiguousarray(points, dtype=np.float64)))
 
 
 def energy_per_m_at(lattice: CostLattice, x: float, y: float, headings_rad: ArrayLike) -> NDArray[np.float64]:
@@ -348,7 +296,7 @@ def energy_per_m_at(lattice: CostLattice, x: float, y: float, headings_rad: Arra
     row, col = np.clip(centre, -0.5 + step, limit)
     d_row, d_col = -np.cos(headings) * step / 2, np.sin(headings) * step / 2
     legs = np.column_stack([row - d_row, col - d_col, row + d_row, col + d_col])
-    return leg_energies(*price_arrays(lattice), legs) / (step * lattice.frame.resolution_m)
+    return leg_energies(exact_prices(lattice), legs) / (step * lattice.frame.resolution_m)
 
 
 def interpolation_matrix(headings_rad: ArrayLike, bins: int) -> NDArray[np.float64]:

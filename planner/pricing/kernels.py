@@ -140,31 +140,32 @@ def _weighted(weights, traction, i, j):
 
 
 @njit(cache=True, forceinline=True)
-def _corner(traction, gradient, blocked, weights, east, north, limits, i, j):
+def _corner(prices, weights, east, north, limits, i, j):
     """Traction of one cell at the leg's heading, NaN when it is blocked, too steep or takes too much power for it."""
     max_grade, max_cross, max_traction = limits
-    rise_east, rise_north = np.float64(gradient[i, j, 0]), np.float64(gradient[i, j, 1])
+    rise_east, rise_north = np.float64(prices.gradient[i, j, 0]), np.float64(prices.gradient[i, j, 1])
     steep = abs(rise_east * east + rise_north * north) > max_grade
     tilted = abs(rise_east * north - rise_north * east) > max_cross
     # one exit: with several the compiler does not turn the sum into vector operations, which is ten times slower
-    demand = _weighted(weights, traction, i, j)
-    code = blocked.codes[i, j]
+    demand = _weighted(weights, prices.traction, i, j)
+    code = prices.blocked.codes[i, j]
     shut = code != 0 and code != MEETS
     return math.nan if shut or steep or tilted or demand > max_traction else demand
 
 
 @njit(cache=True)
-def fill_tractions(out, traction, gradient, blocked, terms, directions, weights, i, j):
+def fill_tractions(out, prices, directions, weights, i, j):
     """Fill the tractions of a cell at some headings.
 
     `out` (H,): is filled [J/m], NaN where the cell may not be driven at a heading; `directions` (H, 2): east and north
     component of each heading; `weights` (H, K): weights of the heading bins at each heading.
     """
-    code = blocked.codes[i, j]
+    code = prices.blocked.codes[i, j]
     if code != 0 and code != MEETS:
         out[:] = np.nan
         return
-    rise_east, rise_north = np.float64(gradient[i, j, 0]), np.float64(gradient[i, j, 1])
+    traction, terms = prices.traction, prices.terms
+    rise_east, rise_north = np.float64(prices.gradient[i, j, 0]), np.float64(prices.gradient[i, j, 1])
     for n in range(out.size):
         total = 0.0
         for k in range(weights.shape[1]):
@@ -176,20 +177,16 @@ def fill_tractions(out, traction, gradient, blocked, terms, directions, weights,
 
 
 @njit(cache=True)
-def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
-    """Return the energy of the straight leg from (row0, col0) to (row1, col1).
+def leg_energy(prices, leg):
+    """Return the energy of a straight leg (row0, col0, row1, col1) [J]; NaN where it may not be driven.
 
-    `traction` (rows, cols, K): traction of the lattice [J/m]; `gradient` (rows, cols, 2): rise per metre towards east
-    and north; `blocked`: of `CostLattice.closed`; `terms` (9,): side of a cell [m], idle energy
-    per metre [J/m], regeneration, tangents of the greatest grade and cross slope, greatest traction [J/m], the last
-    three are those of `driven_leg_energy`. Result: energy [J]; NaN where the leg may not be driven.
+    `prices`: an `integrator.Prices`.
     """
-    memory = heading_memory(traction.shape[2])
-    return leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
+    return leg_energy_with(heading_memory(prices.traction.shape[2]), prices, leg, math.inf)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most):
+def leg_energy_with(memory, prices, leg, most):
     """Return the energy of a leg as `leg_energy` does, with memory of the caller and a limit.
 
     `most`: where the energy exceeds this [J], the rest of the leg is not looked at, infinite where prices may be
@@ -198,9 +195,10 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
     The leg is cut where it crosses lines of cell centres (Amanatides & Woo 1987). It is compiled into its callers: to
     hand over all these arrays takes a third of the time that a short leg takes.
     """
-    spacing, hotel, regeneration, max_grade, max_cross = terms[0], terms[1], terms[2], terms[3], terms[4]
-    max_traction = terms[5]
-    rows, cols, _ = traction.shape
+    row0, col0, row1, col1 = leg
+    blocked, terms = prices.blocked, prices.terms
+    spacing, hotel, regeneration = terms[0], terms[1], terms[2]
+    rows, cols, _ = prices.traction.shape
     slack = 0.5 + 1e-6
     if not (
         -slack <= row0 <= rows - 1 + slack
@@ -229,11 +227,11 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
     next_row, next_col = (i + 1 - row0) * per_row, (j + 1 - col0) * per_col  # shares of the leg at the next lines
     near_i, far_i = min(max(down * i, 0), rows - 1), min(max(down * (i + 1), 0), rows - 1)
     near_j, far_j = min(max(right * j, 0), cols - 1), min(max(right * (j + 1), 0), cols - 1)
-    limits = max_grade, max_cross, max_traction
-    c00 = _corner(traction, gradient, blocked, weights, east, north, limits, near_i, near_j)
-    c01 = _corner(traction, gradient, blocked, weights, east, north, limits, near_i, far_j)
-    c10 = _corner(traction, gradient, blocked, weights, east, north, limits, far_i, near_j)
-    c11 = _corner(traction, gradient, blocked, weights, east, north, limits, far_i, far_j)
+    limits = terms[3], terms[4], terms[5]
+    c00 = _corner(prices, weights, east, north, limits, near_i, near_j)
+    c01 = _corner(prices, weights, east, north, limits, near_i, far_j)
+    c10 = _corner(prices, weights, east, north, limits, far_i, near_j)
+    c11 = _corner(prices, weights, east, north, limits, far_i, far_j)
     u0, v0 = max(row0 - i, 0.0), max(col0 - j, 0.0)  # place in the square: 0 near, 1 far
     energy = t = 0.0
     t0 = math.nan
@@ -274,15 +272,15 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
             v0, next_col = 0.0, (j + 1 - col0) * per_col
             near_j, far_j = far_j, min(max(right * (j + 1), 0), cols - 1)
             c00, c10 = c01, c11
-            c01 = _corner(traction, gradient, blocked, weights, east, north, limits, near_i, far_j)
+            c01 = _corner(prices, weights, east, north, limits, near_i, far_j)
         if over_row:
-            c10 = _corner(traction, gradient, blocked, weights, east, north, limits, far_i, near_j)
-        c11 = _corner(traction, gradient, blocked, weights, east, north, limits, far_i, far_j)
+            c10 = _corner(prices, weights, east, north, limits, far_i, near_j)
+        c11 = _corner(prices, weights, east, north, limits, far_i, far_j)
         t, t0 = t_next, t1
 
 
 @njit(cache=True, error_model="numpy")
-def driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most):
+def driven_leg_energy(memory, prices, leg, most):
     """Return the mean energy of a leg that is driven with an error to its sides.
 
     Result: energy [J]; NaN where the leg itself may not be driven.
@@ -291,10 +289,11 @@ def driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, ro
     the leg. They are longer than it by the margin at both ends, because a robot is late and early too. Where the margin
     is wider than a cell, legs between them are looked at, so that nothing is passed by.
     """
-    price = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most)
+    price, terms = leg_energy_with(memory, prices, leg, most), prices.terms
     margin = terms[6]
     if margin == 0.0 or not price <= most:
         return price
+    row0, col0, row1, col1 = leg
     drow, dcol = row1 - row0, col1 - col0
     length = math.sqrt(drow * drow + dcol * dcol)
     if length == 0.0:
@@ -306,9 +305,7 @@ def driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, ro
         share = k / steps
         begin_row, begin_col = row0 + share * right - down, col0 - share * down - right
         end_row, end_col = row1 + share * right + down, col1 - share * down + right
-        beside = leg_energy_with(
-            memory, traction, gradient, blocked, terms, begin_row, begin_col, end_row, end_col, math.inf
-        )
+        beside = leg_energy_with(memory, prices, (begin_row, begin_col, end_row, end_col), math.inf)
         if math.isnan(beside):
             return price + terms[8] * length
         if abs(k) == steps:
@@ -317,46 +314,29 @@ def driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, ro
 
 
 @njit(cache=True, nogil=True)
-def leg_energies(traction, gradient, blocked, terms, legs):
-    """Return the energies of many straight legs.
-
-    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked`: of `CostLattice.closed`;
-    `terms` (9,): terms of the price; `legs` (n, 4): row0, col0, row1, col1 of each. Result (n,): energy [J]; NaN where
-    a leg may not be driven.
+def leg_energies(prices, legs):
+    """Return the energies of many straight legs (n, 4), as `leg_energy`: (n,) [J].
 
     On one thread: most questions are a few legs, and on a busy machine waiting for a second thread takes longer.
     """
     out = np.empty(legs.shape[0])
-    memory = heading_memory(traction.shape[2])
+    memory = heading_memory(prices.traction.shape[2])
     for k in range(legs.shape[0]):
-        out[k] = leg_energy_with(
-            memory,
-            traction,
-            gradient,
-            blocked,
-            terms,
-            legs[k, 0],
-            legs[k, 1],
-            legs[k, 2],
-            legs[k, 3],
-            math.inf,
-        )
+        out[k] = leg_energy_with(memory, prices, (legs[k, 0], legs[k, 1], legs[k, 2], legs[k, 3]), math.inf)
     return out
 
 
 @njit(cache=True, nogil=True)
-def polyline_energies(traction, gradient, blocked, terms, points):
-    """Return the energies of the legs of a polyline, without turns.
+def polyline_energies(prices, points):
+    """Return the energies of the legs of a (row, col) polyline (n, 2), as they are driven, without turns: (n - 1,) [J].
 
-    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked`: of `CostLattice.closed`;
-    `terms` (9,): terms of the price, and of how a leg is driven; `points` (n, 2): (row, col) polyline. Result (n - 1,):
-    energy [J]; NaN where a leg may not be driven.
+    NaN where a leg may not be driven.
     """
     out = np.empty(max(points.shape[0] - 1, 0))
-    memory = heading_memory(traction.shape[2])
+    memory = heading_memory(prices.traction.shape[2])
     for k in range(out.size):
-        row0, col0, row1, col1 = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
-        out[k] = driven_leg_energy(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
+        leg = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
+        out[k] = driven_leg_energy(memory, prices, leg, math.inf)
     return out
 
 
@@ -374,14 +354,9 @@ def turn_angle(row0, col0, row1, col1, row2, col2):
 
 
 @njit(cache=True, nogil=True)
-def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
-    """Return the energy of a polyline with its turns.
-
-    `traction` (rows, cols, K); `gradient` (rows, cols, 2): rise per metre; `blocked`: of `CostLattice.closed`;
-    `terms` (9,): terms of the price; `points` (n, 2): (row, col) polyline. Result: energy [J]; NaN where a leg may not
-    be driven.
-    """
-    energy = polyline_energies(traction, gradient, blocked, terms, points).sum()
+def path_energy(prices, points):
+    """Return the energy of a (row, col) polyline (n, 2) with its turns [J]; NaN where a leg may not be driven."""
+    energy, turn_j_per_rad = polyline_energies(prices, points).sum(), prices.turn_j_per_rad
     before, here = 0, 1
     for k in range(2, points.shape[0] if turn_j_per_rad > 0.0 else 0):
         if points[here, 0] == points[before, 0] and points[here, 1] == points[before, 1]:

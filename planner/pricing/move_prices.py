@@ -78,14 +78,6 @@ class MovePrices:
         share_out(_fill, parts_of(rows, cols))
         return out
 
-    def lengths(self, part: CostLattice) -> NDArray[np.float32]:
-        """Return the length of each move of a window; its traction is not read.
-
-        Result (N, rows, cols): length [m]; NaN where the move may not be driven, or leaves the window.
-        """
-        flat = np.zeros((*part.frame.shape, 1), dtype=np.float32)
-        return self._priced(part, flat, np.ones((len(self.offsets), 1), dtype=np.float32), 1.0)
-
     def _priced(
         self, part: CostLattice, traction: NDArray[np.float32], matrix: NDArray[np.float32], hotel_per_m: float
     ) -> NDArray[np.float32]:
@@ -146,40 +138,41 @@ def _at_moves(traction, gradient, blocked, matrix, east, north, max_grade, max_c
 
 
 @njit(cache=True, nogil=True)
-def _energies(traction, offsets, length_m, hotel, regeneration, cells, share, part, corners, corner, blend):
+def _energies(traction, offsets, length_m, hotel, regeneration, cells, share, part, corner, blend):
     """(N, rows, cols) float32 [J]; traction : (N, rows, cols), NaN where that heading may not be driven."""
     moves, rows, cols = traction.shape
     energy = np.full((moves, rows, cols), np.nan, dtype=np.float32)
-    mean = np.empty(cols)
-    least, most = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
+    mean, least = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
     for n in range(moves):
         down, right = offsets[n, 0], offsets[n, 1]
         col0, col1 = max(0, -right), min(cols, cols - right)
         for i in range(max(0, -down), min(rows, rows - down)):
-            mean[:] = 0.0
-            least[:] = np.inf
-            most[:] = -np.inf
+            mean[:] = np.float32(0.0)
+            least[:] = np.float32(0.0)
             for s in range(cells.shape[1]):
-                weight = share[n, s]
-                if weight < 0.0:
+                if share[n, s] < 0.0:
                     break
                 of = traction[n, i + cells[n, s, 0], col0 + cells[n, s, 1] : col1 + cells[n, s, 1]]
-                for j in range(of.size):
-                    t = of[j]
-                    mean[j] += weight * t
-                    least[j] = t if t < least[j] else least[j]
-                    most[j] = t if t > most[j] else most[j]
+                _add(mean, least, np.float32(share[n, s]), of)
             out = energy[n, i, col0:col1]
             for j in range(out.size):
                 out[j] = (hotel + mean[j]) * length_m[n]
             for j in range(out.size):
-                if least[j] < 0.0 and not math.isnan(mean[j]):
-                    if most[j] <= 0.0:
-                        response = mean[j] * regeneration
-                    else:
-                        response = _kinked(traction, n, i, j + col0, part, corners, corner, blend, regeneration)
+                if least[j] < np.float32(0.0) and not math.isnan(mean[j]):
+                    response = _response(traction, n, i, j + col0, part, corner, blend, regeneration)
                     out[j] = (hotel + response) * length_m[n]
     return energy
+
+
+@njit(cache=True, nogil=True)
+def _add(mean, least, weight, values):
+    """Add weighted values to `mean` and take the lesser ones into `least`; in this form as vector operations."""
+    for j in range(values.size):
+        value, low = values[j], least[j]
+        mean[j] += weight * value
+        if value < low:
+            low = value
+        least[j] = low
 
 
 @njit(cache=True, nogil=True)
@@ -193,21 +186,61 @@ def _by_cell(planes, first, out):
 
 
 @njit(cache=True)
-def _kinked(traction, n, i, j, part, corners, corner, blend, regeneration):
-    """Mean price of motion along move n from a cell, on which the traction changes its sign."""
+def _response(traction, n, i, j, part, corner, blend, regeneration):
+    """Mean price of motion along move n from a cell, of which the traction is negative somewhere."""
     mean = 0.0
-    t0 = 1.0 * traction[n, i, j]
     for p in range(part.shape[1]):
         if part[n, p] <= 0.0:
             break
-        tm = t1 = 0.0
-        for q in range(corners[n, p]):
+        t0 = tm = t1 = 0.0
+        for q in range(4):
             t = traction[n, i + corner[n, p, q, 0], j + corner[n, p, q, 1]]
-            tm += blend[n, p, 0, q] * t
-            t1 += blend[n, p, 1, q] * t
+            t0 += blend[n, p, 0, q] * t
+            tm += blend[n, p, 1, q] * t
+            t1 += blend[n, p, 2, q] * t
         mean += part[n, p] * mean_response(t0, tm, t1, regeneration)
-        t0 = t1
     return mean
+
+
+def beside_moves(offsets: NDArray[np.int64], margin: float) -> NDArray[np.int64]:
+    """Return the cells beside each move that its margin [cells] reaches: steps (N, A, 2), some repeated."""
+    if margin == 0.0:
+        return np.zeros((len(offsets), 0, 2), dtype=np.int64)
+    steps = math.ceil(margin)
+    around: list[list[tuple[int, int]]] = []
+    for drow, dcol in offsets / np.hypot(*offsets.T)[:, None]:
+        shifts = [(-dcol * margin * k / steps, drow * margin * k / steps) for k in range(-steps, steps + 1)]
+        ends = [[(math.floor(v + 1e-9), math.ceil(v - 1e-9)) for v in shift] for shift in shifts]
+        around.append(sorted({(i, j) for rows, cols in ends for i in rows for j in cols} - {(0, 0)}))
+    most = max(map(len, around))
+    return np.array([(cells * most)[:most] for cells in around])
+
+
+@njit(cache=True, nogil=True)
+def near_closed(energy, offsets, beside, row, col, map_rows, map_cols):
+    """Return the bit sets of moves near closed ones, of a part of a map: (rows, cols) uint32.
+
+    Bit n is set where a move n is closed that begins beside move n. `energy` (rows, cols, N): energy of the moves that
+    leave the cells of the part [J]; `beside`: from `beside_moves`; `row`, `col`: the part's first cell in a map of
+    `map_rows` x `map_cols`: a move that leaves this is not closed.
+    """
+    rows, cols, moves = energy.shape
+    near = np.zeros((rows, cols), dtype=np.uint32)
+    for i in range(rows):
+        for j in range(cols):
+            if not (0 <= row + i < map_rows and 0 <= col + j < map_cols):
+                continue
+            for n in range(moves):
+                if not math.isnan(energy[i, j, n]):
+                    continue
+                down, right = row + i + offsets[n, 0], col + j + offsets[n, 1]
+                if not (0 <= down < map_rows and 0 <= right < map_cols):
+                    continue  # it leaves the map
+                for k in range(beside.shape[1]):
+                    a, b = i - beside[n, k, 0], j - beside[n, k, 1]
+                    if 0 <= a < rows and 0 <= b < cols:
+                        near[a, b] |= np.uint32(1) << np.uint32(n)
+    return near
 
 
 def _pieces(
@@ -266,14 +299,15 @@ def _stack_stencils(pieces):
 
 
 def _stack_pieces(pieces):
-    """Per move and piece: its part of the move, its number of cells, these, and their weights at its middle and end."""
+    """Per move and piece: its part of the move, its four cells, and their weights at its start, middle and end.
+
+    A cell that the piece does not touch is replaced by one that it does, with weight 0; part 0 where there is no piece.
+    """
     size = len(pieces), max(len(move) for move in pieces)
-    part, corners = np.zeros(size), np.zeros(size, dtype=np.int64)
-    corner, blend = np.zeros((*size, 4, 2), dtype=np.int64), np.zeros((*size, 2, 4))
+    part, corner, blend = np.zeros(size), np.zeros((*size, 4, 2), dtype=np.int64), np.zeros((*size, 3, 4))
     for n, move in enumerate(pieces):
         for k, (share, cells, weights) in enumerate(move):
             touched = weights.max(axis=0) > 1e-9
-            count = int(touched.sum())
-            part[n, k], corners[n, k] = share, count
-            corner[n, k, :count], blend[n, k, :, :count] = cells[touched], weights[1:, touched]
-    return part, corners, corner, blend
+            part[n, k], blend[n, k] = share, weights * touched
+            corner[n, k] = np.where(touched[:, None], cells, cells[touched][0])
+    return part, corner, blend

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.frames import heading_of, wrap_angle
 from joulemap.model.threads import both
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.pricing.integrator import MARGIN_PENALTY
-from joulemap.planner.pricing.move_prices import MovePrices
+from joulemap.planner.pricing.integrator import MARGIN_PENALTY, Points
+from joulemap.planner.pricing.move_prices import MovePrices, beside_moves, near_closed
 from joulemap.planner.pricing.potential import even_surface, spare_bounds
+from joulemap.planner.pricing.tiles import Fill, Tiles
 
+EVERY = 7
+"""Prices of every seventh cell along rows and columns say what is typical of a map."""
 RISE_SHARES = np.array([0.0, 1.0])
 """Shares of the surface's rise that `MoveTable.bound_per_m` is known for."""
+
+
+Lead = Callable[[Points, NDArray[np.int64], NDArray[np.float64]], Fill]
+"""Bounds towards a goal (row, col), which some flat cells are joined to at some energies [J]."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,6 +55,12 @@ class MoveTable:
         where no margin is kept.
     near_j : ndarray of float64, (N,) or (0,)
         What such a move costs more in a search [J].
+    tiles : Tiles, optional
+        What prices the moves when a search reaches them; without it all are there.
+    sampled_j : float
+        Mean size of a price of tiles [J].
+    lead : callable, optional
+        Makes the lower bounds of tiles, see `Lead`.
     """
 
     offsets: NDArray[np.int64]
@@ -62,6 +74,9 @@ class MoveTable:
     metric: bool = False
     near: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
     near_j: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    tiles: Tiles | None = None
+    sampled_j: float = 0.0
+    lead: Lead | None = None
 
     @property
     def jump(self) -> NDArray[np.int64]:
@@ -83,7 +98,9 @@ class MoveTable:
         """Mean size of a price [J], or length, from a sample of the map; 1 where there is none."""
         if self.metric:
             return float(self.length_m.mean())
-        sample = np.abs(self.energy[::7, ::7])
+        if self.tiles is not None:
+            return self.sampled_j
+        sample = np.abs(self.energy[::EVERY, ::EVERY])
         return float(np.nanmean(sample)) or 1.0 if np.isfinite(sample).any() else 1.0
 
     @property
@@ -105,6 +122,7 @@ def distance_table(table: MoveTable) -> MoveTable:
         bound_per_m=flat + 1.0,
         metric=True,
         near_j=penalty,
+        lead=None,
     )
 
 
@@ -118,38 +136,17 @@ def with_margin(table: MoveTable, margin: float) -> MoveTable:
     """
     if margin == 0.0:
         return table
-    steps = math.ceil(margin)
-    around: list[list[tuple[int, int]]] = []
-    for drow, dcol in table.offsets / np.hypot(*table.offsets.T)[:, None]:
-        shifts = [(-dcol * margin * k / steps, drow * margin * k / steps) for k in range(-steps, steps + 1)]
-        ends = [[(math.floor(v + 1e-9), math.ceil(v - 1e-9)) for v in shift] for shift in shifts]
-        around.append(sorted({(i, j) for rows, cols in ends for i in rows for j in cols} - {(0, 0)}))
-    most = max(map(len, around))
-    near = _near_closed(table.energy, table.offsets, np.array([(cells * most)[:most] for cells in around]))
+    rows, cols = table.surface.shape
+    beside = beside_moves(table.offsets, margin)
+    near = near_closed(table.energy, table.offsets, beside, 0, 0, rows, cols).ravel()
     if not near.any():
         return table
-    penalty_j = MARGIN_PENALTY * table.typical_j / float(table.length_m.mean()) * table.length_m
-    return replace(table, near=near, near_j=penalty_j)
+    return replace(table, near=near, near_j=penalty_j(table.typical_j, table.length_m))
 
 
-@njit(cache=True, nogil=True)
-def _near_closed(energy, offsets, around):
-    """The bit sets of moves near closed ones, (cells,) uint32; around : cells beside each move, (N, A, 2)."""
-    rows, cols, moves = energy.shape
-    near = np.zeros(rows * cols, dtype=np.uint32)
-    for i in range(rows):
-        for j in range(cols):
-            for n in range(moves):
-                if not math.isnan(energy[i, j, n]):
-                    continue
-                down, right = i + offsets[n, 0], j + offsets[n, 1]
-                if not (0 <= down < rows and 0 <= right < cols):
-                    continue  # it leaves the map
-                for k in range(around.shape[1]):
-                    a, b = i - around[n, k, 0], j - around[n, k, 1]
-                    if 0 <= a < rows and 0 <= b < cols:
-                        near[a * cols + b] |= np.uint32(1) << np.uint32(n)
-    return near
+def penalty_j(typical_j: float, length_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what moves cost more within the margin, (N,) [J]."""
+    return MARGIN_PENALTY * typical_j / float(length_m.mean()) * length_m
 
 
 def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:

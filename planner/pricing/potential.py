@@ -45,7 +45,7 @@ def even_surface(
 
     Reference: Johnson 1977; Cherkassky & Goldberg 1999 (negative cycles).
     """
-    surface = _levelled(energy, offsets, surface)
+    surface = levelled(energy, offsets, surface)
     least = spare_per_m(energy, offsets, length_m, surface)
     if least.min() < 0.0:
         lower = surface.copy()
@@ -82,10 +82,13 @@ def parts_of(rows: int, cols: int) -> list[slice]:
     return pieces(rows, max(CELLS_A_PART // max(cols, 1), 1))
 
 
-def _levelled(
+def levelled(
     energy: NDArray[np.float32], offsets: NDArray[np.int64], surface: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The surface after some sweeps, each of which puts every cell where its neighbours and the prices put it."""
+    """Return a surface after some sweeps, each of which puts every cell where its neighbours and the prices put it.
+
+    `energy` (rows, cols, N), `offsets` (N, 2), `surface` (rows, cols): as of `even_surface`.
+    """
     rows, cols, moves = energy.shape
     ways = min(moves // 2, 4)  # as many have their way back among the others
     steps = offsets[:: max(moves // 8, 1)][:ways]  # of more than eight moves, those between the eight say little new
@@ -93,18 +96,8 @@ def _levelled(
     share_out(lambda p: _rise_rows(energy, offsets, p.start, p.stop, rises), parts_of(rows, cols))
     for _ in range(SWEEPS):
         before, surface = surface, np.empty_like(surface)
-        share_out(partial(_level_part, rises, steps, before, surface), parts_of(rows, cols))
+        share_out(partial(_level_rows, rises, steps, before, surface), parts_of(rows, cols))
     return surface
-
-
-def _level_part(
-    rises: NDArray[np.float32],
-    steps: NDArray[np.int64],
-    surface: NDArray[np.float64],
-    out: NDArray[np.float64],
-    part: slice,
-) -> None:
-    _level_rows(rises, steps, surface, part.start, part.stop, out)
 
 
 @njit(cache=True, nogil=True)
@@ -123,13 +116,13 @@ def _rise_rows(energy, offsets, first, end, rises):
 
 
 @njit(cache=True, nogil=True)
-def _level_rows(rises, steps, surface, first, end, out):
-    """Fill rows first..end - 1 [J]: each cell where its neighbours and the rises from them put it, on average.
+def _level_rows(rises, steps, surface, out, part):
+    """Fill a part of the rows [J]: each cell where its neighbours and the rises from them put it, on average.
 
     A sweep towards the surface of least squares. steps : (k, 2) the directions of the rises.
     """
     rows, cols, ways = rises.shape
-    for i in range(first, end):
+    for i in range(part.start, part.stop):
         for j in range(cols):
             total, count = 0.0, 0
             for k in range(ways):

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.errors import InputError
 from joulemap.planner.any_angle.best import improved
 from joulemap.planner.grid.fields import field_from, field_towards
 from joulemap.planner.grid.plateaus import plateaus
@@ -25,6 +24,8 @@ from joulemap.planner.pricing.polylines import path_length, subdivided
 
 STRETCH = 1.3
 """Most energy of an alternative, in multiples of the best path's."""
+LEAST_PLATEAU = 0.1
+"""Least energy of its plateau, as a share of the best path's."""
 LEAST_SHARE = 0.3
 """Least share of an alternative's length that lies away from every path before it."""
 
@@ -35,11 +36,7 @@ def alternative_paths(
     start: Points,
     goal: Points,
     *,
-    count: int = 3,
-    stretch: float = STRETCH,
-    plateau: float = 0.1,
-    separation_m: float | None = None,
-    share: float = LEAST_SHARE,
+    count: int,
 ) -> list[GridPath]:
     """Return the best path and good alternatives, cheapest first.
 
@@ -51,17 +48,8 @@ def alternative_paths(
         Priced moves of the lattice.
     start, goal : ndarray of float, (2,)
         Fractional (row, col).
-    count : int, default 3
+    count : int
         Most paths, the best one included.
-    stretch : float, default 1.3
-        Most energy of an alternative, in multiples of the best path's.
-    plateau : float, default 0.1
-        Least energy of its plateau, as a share of the best path's energy.
-    separation_m : float, optional
-        Distance from which a place counts as away from a path [m]: a twentieth of the best path's length, at least
-        three cells, where None.
-    share : float, default 0.3
-        Least share of its length that lies away from every path before it.
 
     Returns
     -------
@@ -70,8 +58,6 @@ def alternative_paths(
 
     Raises
     ------
-    InputError
-        If a setting is out of range.
     NoRouteError
         If the goal cannot be reached.
 
@@ -79,26 +65,21 @@ def alternative_paths(
     ----------
     Jones 2007; Abraham, Delling, Goldberg & Werneck 2013.
     """
-    if count < 1 or stretch < 1.0 or not 0.0 < plateau <= 1.0 or not 0.0 <= share <= 1.0:
-        raise InputError(
-            f"alternatives need count >= 1, stretch >= 1, plateau in (0, 1] and share in [0, 1], got count {count}, "
-            f"stretch {stretch:g}, plateau {plateau:g}, share {share:g}"
-        )
     best = grid_search(lattice, table, start, goal)
     found = [best]
     if count == 1 or best.energy_j <= 0.0:
         return found
-    separation_m = _separation_m(lattice, best.points) if separation_m is None else separation_m
+    separation_m = _separation_m(lattice, best.points)
     ahead, behind = field_from(lattice, table, start).search, field_towards(lattice, table, goal[None]).search
     states, via, length, _ = plateaus(ahead, behind, table, np.flatnonzero(behind.energy_j < np.inf))
-    good = (length >= plateau * best.energy_j) & (via <= stretch * best.energy_j)
+    good = (length >= LEAST_PLATEAU * best.energy_j) & (via <= STRETCH * best.energy_j)
     states, via, length = states[good], via[good], length[good]
     away_m = _metres_from(lattice, best.points)
     for k in np.argsort(via - length, kind="stable"):  # long plateaus first
         into = ahead.trace(table, int(states[k]))[::-1] // ahead.layers
         cells = np.append(into, behind.trace(table, int(states[k]))[1:] // behind.layers)
         cells = cells[np.append(True, np.diff(cells) != 0)]  # turns on the spot
-        if np.unique(cells).size < cells.size or np.mean(away_m[cells] > separation_m) < share:
+        if np.unique(cells).size < cells.size or np.mean(away_m[cells] > separation_m) < LEAST_SHARE:
             continue
         found.append(GridPath(joined_points(lattice, start, cells, goal), float(via[k]), 0))
         if len(found) == count:

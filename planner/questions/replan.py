@@ -12,12 +12,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from joulemap.planner.grid.buckets import SETTLED
 from joulemap.planner.grid.fields import EnergyField, field_towards
 from joulemap.planner.grid.heuristics import guide_everywhere
 from joulemap.planner.grid.search import GridPath, terminals
 from joulemap.planner.grid.states import run_search
-from joulemap.planner.grid.turning_search import DROVE, SEED, state_before
+from joulemap.planner.grid.traces import CODE, state_before
+from joulemap.planner.grid.turning_search import DROVE, SEED
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import Points
 from joulemap.planner.pricing.moves import move_table, repriced
@@ -168,17 +168,16 @@ def _cut_off(energy, pred, changed, jump, layers):
         depth = 0
         at = state
         while fate[at] == 0:
-            code = np.int64(pred[at]) & (SETTLED - 1)
-            drives = code > 0 if layers == 1 else code == DROVE
+            code, following = np.int64(pred[at]) & CODE, state_before(pred, at, jump, layers, True)
             move = code - 1 if layers == 1 else at % layers
-            if code == SEED:
+            if following < 0:
                 fate[at] = 1
-            elif drives and changed[at // layers, move] == 2:
+            elif (layers == 1 or code == DROVE) and changed[at // layers, move] == 2:
                 fate[at] = 2
             else:
                 way[depth] = at
                 depth += 1
-                at = at + jump[move] if layers == 1 else state_before(code, at, jump, True)
+                at = following
         for k in range(depth):
             fate[way[k]] = fate[at]
     return fate == 2

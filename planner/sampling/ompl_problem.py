@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from ompl import base as ob
 
 from joulemap.model.frames import heading_bins
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.pricing.integrator import Points, interpolation_matrix, price_arrays
+from joulemap.planner.pricing.integrator import Points, exact_prices, interpolation_matrix
 from joulemap.planner.pricing.kernels import leg_energy
 
 _HEADINGS_PER_BIN = 8
@@ -51,7 +51,7 @@ class _Pricer:
     """Leg prices in OMPL's units, and the bound that goes with them."""
 
     def __init__(self, lattice: CostLattice, start: Points, goal: Points) -> None:
-        self._arrays = price_arrays(lattice)
+        self._prices = exact_prices(lattice)
         floor = price_floor_per_m(lattice) * lattice.frame.resolution_m  # [J per cell length]
         self.unit_j = floor if floor > 1e-6 else 1.0
         self.bound = 1.0 if floor > 1e-6 else 0.0
@@ -66,7 +66,7 @@ class _Pricer:
         if self._last is not None and self._last[0] == leg:  # its validity was asked for first
             return self._last[1]
         self.legs += 1
-        energy = leg_energy(*self._arrays, *leg)
+        energy = leg_energy(self._prices, leg)
         cost = energy / self.unit_j if energy == energy else math.inf
         self._last = leg, cost
         return cost
@@ -76,8 +76,12 @@ class _Pricer:
         return self.bound * math.hypot(b[0] - a[0], b[1] - a[1])
 
 
-class _DirectedObjective(ob.OptimizationObjective):
-    """Leg prices that are not the same both ways, without bounds: in a corridor they cost BIT* more than they save."""
+class _TreeObjective(ob.OptimizationObjective):
+    """For RRT* and Informed RRT*: leg prices that are not the same both ways.
+
+    The binding cannot set a cost-to-go. Both planners ask for heuristics from the start only, to judge a whole solution
+    through a state, so from the start the bound goes on to the goal.
+    """
 
     def __init__(self, space_information: Any, pricer: _Pricer) -> None:
         super().__init__(space_information)
@@ -91,14 +95,6 @@ class _DirectedObjective(ob.OptimizationObjective):
 
     def motionCost(self, a, b):
         return ob.Cost(self._pricer.cost(a, b))
-
-
-class _TreeObjective(_DirectedObjective):
-    """For RRT* and Informed RRT*.
-
-    The binding cannot set a cost-to-go. Both planners ask for heuristics from the start only, to judge a whole solution
-    through a state, so from the start the bound goes on to the goal.
-    """
 
     def motionCostHeuristic(self, a, b):
         onward = self._pricer.least(b, self._pricer.goal) if (a[0], a[1]) == self._pricer.start else 0.0
@@ -131,48 +127,39 @@ class _Limits(ob.MotionValidator):
         return math.isfinite(self._pricer.cost(a, b))
 
 
-_OBJECTIVES = {"tree": _TreeObjective, "ellipse": _EllipseObjective, "corridor": _DirectedObjective}
-
-
 def ompl_problem(
-    lattice: CostLattice,
-    start: Points,
-    goal: Points,
-    *,
-    places: NDArray[np.bool_],
-    objective: Literal["tree", "ellipse", "corridor"],
+    lattice: CostLattice, start: Points, goal: Points, *, in_ellipse: bool
 ) -> tuple[Any, Any, Callable[[], int]]:
     """Return the problem of a cheapest path for a planner of OMPL.
 
-    `start`, `goal` (2,): fractional (row, col); `places` (k rows, k cols): the k-th parts of cells to sample in.
-    Returns `information`: the space of (row, col), and what may be driven; `problem`: start, goal and objective;
-    `legs_priced`: returns how many legs were priced so far.
+    `start`, `goal` (2,): fractional (row, col); `in_ellipse`: for BIT*. Returns `information`: the space of (row, col),
+    and what may be driven; `problem`: start, goal and objective; `legs_priced`: returns how many legs were priced.
     """
-    cuts = places.shape[0] // lattice.frame.rows
+    free = lattice.blocked == 0
     space = ob.RealVectorStateSpace(2)
     bounds = ob.RealVectorBounds(2)
-    for axis, parts in enumerate(np.nonzero(places)):
-        bounds.setLow(axis, float(min(parts.min() / cuts - 0.5, start[axis], goal[axis])))
-        bounds.setHigh(axis, float(max((parts.max() + 1) / cuts - 0.5, start[axis], goal[axis])))
+    for axis, cells in enumerate(np.nonzero(free)):
+        bounds.setLow(axis, float(min(cells.min() - 0.5, start[axis], goal[axis])))
+        bounds.setHigh(axis, float(max(cells.max() + 0.5, start[axis], goal[axis])))
     space.setBounds(bounds)
     information = ob.SpaceInformation(space)
     pricer = _Pricer(lattice, start, goal)
-    information.setStateValidityChecker(_validity(places, cuts))
+    information.setStateValidityChecker(_validity(free))
     information.setMotionValidator(_Limits(information, pricer))
     information.setup()
     problem = ob.ProblemDefinition(information)
     problem.setStartAndGoalStates(_state(space, start), _state(space, goal), 1e-6)
-    problem.setOptimizationObjective(_OBJECTIVES[objective](information, pricer))
+    problem.setOptimizationObjective((_EllipseObjective if in_ellipse else _TreeObjective)(information, pricer))
     return information, problem, lambda: pricer.legs
 
 
-def _validity(free: NDArray[np.bool_], cuts: int) -> Callable[[Any], bool]:
-    """A check whether a state lies on a True of `free`, which has `cuts` entries to a cell's side."""
+def _validity(free: NDArray[np.bool_]) -> Callable[[Any], bool]:
+    """A check whether a state lies on a free cell."""
     last_row, last_col, width, mask = free.shape[0] - 1, free.shape[1] - 1, free.shape[1], free.tobytes()
 
     def valid(state: Any) -> bool:
-        row = min(max(int((state[0] + 0.5) * cuts), 0), last_row)
-        return mask[row * width + min(max(int((state[1] + 0.5) * cuts), 0), last_col)] == 1
+        row = min(max(int(state[0] + 0.5), 0), last_row)
+        return mask[row * width + min(max(int(state[1] + 0.5), 0), last_col)] == 1
 
     return valid
 

@@ -1,5 +1,4 @@
 """Whether the battery lasts: energy against charge along a trajectory, with its distribution.
 
-`budget` gives the verdict, `battery_trace` the charge along the way, `energy_distribution` the odds and
-`point_of_no_return` where to turn back.
+`budget` gives the verdict, `battery_trace` the charge along the way and `energy_distribution` the odds.
 """

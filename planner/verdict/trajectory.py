@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.planner.lattice import CostLattice
-from joulemap.planner.route import Pieces, Route
+from joulemap.planner.route import Route
 
 FloatArray = NDArray[np.float64]
 
@@ -220,27 +219,3 @@ def course_of(routes: Sequence[Route], *, weight_n: float | None = None) -> Cour
         np.concatenate(stds) if len(stds) == len(profiles) else None,
         weight_n,
     )
-
-
-def course_of_pieces(lattice: CostLattice, cut: Pieces, start: tuple[float, float, float]) -> Course:
-    """Return the course of a priced polyline, without heights.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        That it was priced with.
-    cut : Pieces
-        Its pieces, all of which may be driven.
-    start : tuple of float
-        World x, y, z of its start [m].
-
-    Returns
-    -------
-    Course
-        Heights are NaN, and there are no standard deviations.
-    """
-    x, y = lattice.frame.xy(cut.points[1:, 0], cut.points[1:, 1])
-    unknown = np.full(cut.energy_j.size, np.nan)
-    seconds = cut.driven_m / lattice.robot.speed_mps
-    ways = np.zeros(cut.energy_j.size, dtype=np.int64)
-    return Course(cut.energy_j, np.cumsum(cut.driven_m), seconds, x, y, unknown, ways, start)

@@ -6,32 +6,45 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import httpx
+from pydantic import BaseModel
 
 from joulemap.model.errors import BusyError, ConflictError
 from joulemap.model.frames import GridFrame
-from joulemap.service.areas_given import corners_of
-from joulemap.service.client.answers import Answer, document_of, stranger
-from joulemap.service.client.connection import Connection
-from joulemap.service.coordinates import PlaceLike
+from joulemap.service.client.connection import Connection, document_of, stranger
+from joulemap.service.places.areas_given import corners_of
+from joulemap.service.places.coordinates import PlaceLike
 from joulemap.service.questions.asking import asks
 from joulemap.service.questions.at import AtRequest
+from joulemap.service.questions.charging import ChargingOut, ChargingRequest
 from joulemap.service.questions.feasibility import FeasibilityRequest
 from joulemap.service.questions.given import battery_with, plain
-from joulemap.service.questions.homeward import ReturnRequest
+from joulemap.service.questions.homeward import ReturnOut, ReturnRequest
 from joulemap.service.questions.matrix import MatrixOut, MatrixRequest
 from joulemap.service.questions.parts import OnMap
 from joulemap.service.questions.path import PathRequest
 from joulemap.service.questions.reach import ReachOut, ReachRequest
-from joulemap.service.questions.speeds import SpeedsRequest
+from joulemap.service.questions.speeds import SpeedsOut, SpeedsRequest
 from joulemap.service.questions.tour import TourRequest
-from joulemap.service.schemas.homeward import ReturnOut
 from joulemap.service.schemas.maps import AtOut, CostmapOut
-from joulemap.service.schemas.planning import FeasibilityOut, PathOut
-from joulemap.service.schemas.speeds import SpeedsOut
-from joulemap.service.schemas.tours import TourOut
+from joulemap.service.schemas.planning import FeasibilityOut, PathOut, TourOut
 
 Point = PlaceLike
 Progress = Callable[[float], object]
+_ANSWERS: Mapping[str, tuple[str, type[BaseModel]]] = {
+    "path": ("paths", PathOut),
+    "tour": ("tours", TourOut),
+    "matrix": ("matrix", MatrixOut),
+    "reach": ("reach", ReachOut),
+    "feasibility": ("feasibility", FeasibilityOut),
+    "speeds": ("speeds", SpeedsOut),
+    "homeward": ("return", ReturnOut),
+    "charging": ("charging", ChargingOut),
+}
+"""Where a question is asked, and what is answered, by its module in `service.questions`."""
+
+
+def _given(**query: str | None) -> dict[str, str]:
+    return {name: value for name, value in query.items() if value is not None}
 
 
 class ServedCostMap:
@@ -102,13 +115,7 @@ class ServedCostMap:
         PointError, BlockedError, NoRouteError
             As `CostMap.plan`.
         """
-        if progress is None:
-            return self._ask(PathOut, "paths", wanted)
-        for name, document in self._connection.events(f"{self._place}/paths", self._body(wanted)):
-            if name == "answer":
-                return PathOut.model_validate(document)
-            progress(float(document))
-        raise BusyError("the connection ended before the answer came", url=self._connection.url)
+        return self.ask("path", wanted, progress=progress)
 
     @asks(PathRequest)
     def plan_geojson(self, wanted: PathRequest, *, coordinates: str = "wgs84") -> dict[str, Any]:
@@ -131,14 +138,16 @@ class ServedCostMap:
         InputError
             If the map has no CRS, and degrees are wanted.
         """
-        answer = self._file("paths", wanted, "geojson", coordinates)
+        answer = self._file("paths", wanted, format="geojson", coordinates=coordinates)
         lines = document_of(answer.content)
         if lines.get("type") != "FeatureCollection":
             raise stranger(answer, "no GeoJSON")
         return lines
 
     @asks(PathRequest)
-    def plan_file(self, wanted: PathRequest, *, format: str, coordinates: str | None = None) -> bytes:
+    def plan_file(
+        self, wanted: PathRequest, *, format: str, coordinates: str | None = None, origin: str | None = None
+    ) -> bytes:
         """Find the same routes, as a file for another program.
 
         Parameters
@@ -149,6 +158,8 @@ class ServedCostMap:
             "gpx", "qgc-plan", ...: a name of `joulemap.service.exports.routes.ROUTE_FORMATS`.
         coordinates : str, optional
             Of GeoJSON, "wgs84" or "map".
+        origin : str, optional
+            Of formats for ROS: "x,y" [m] or "start", which gets the coordinates 0,0.
 
         Returns
         -------
@@ -160,10 +171,12 @@ class ServedCostMap:
         InputError
             If the map has no CRS and the format needs degrees.
         """
-        return self._file("paths", wanted, format, coordinates).content
+        return self.file("path", wanted, format=format, coordinates=coordinates, origin=origin)
 
     @asks(TourRequest)
-    def tour_file(self, wanted: TourRequest, *, format: str, coordinates: str | None = None) -> bytes:
+    def tour_file(
+        self, wanted: TourRequest, *, format: str, coordinates: str | None = None, origin: str | None = None
+    ) -> bytes:
         """Find the same tour as `tour`, as a file for another program.
 
         Parameters
@@ -174,6 +187,8 @@ class ServedCostMap:
             As in `plan_file`.
         coordinates : str, optional
             Of GeoJSON, "wgs84" or "map".
+        origin : str, optional
+            Of formats for ROS: "x,y" [m] or "start", which gets the coordinates 0,0.
 
         Returns
         -------
@@ -185,7 +200,7 @@ class ServedCostMap:
         InputError
             If the map has no CRS and the format needs degrees.
         """
-        return self._file("tours", wanted, format, coordinates).content
+        return self.file("tour", wanted, format=format, coordinates=coordinates, origin=origin)
 
     def _body(self, wanted: OnMap) -> dict[str, Any]:
         """What is sent of a question: what was given."""
@@ -194,12 +209,66 @@ class ServedCostMap:
             given["avoid"] = corners_of(given["avoid"], self.grid)
         return plain(given)
 
-    def _ask(self, answer: type[Answer], question: str, wanted: OnMap) -> Answer:
-        return self._connection.ask(answer, "POST", f"{self._place}/{question}", json=self._body(wanted))
+    def ask(self, question: str, wanted: OnMap, *, progress: Progress | None = None) -> Any:
+        """Ask a question by the name of its module in `joulemap.service.questions`.
 
-    def _file(self, question: str, wanted: OnMap, format: str, coordinates: str | None) -> httpx.Response:
-        query = {"format": format} | ({} if coordinates is None else {"coordinates": coordinates})
-        return self._connection.send("POST", f"{self._place}/{question}", json=self._body(wanted), params=query)
+        Parameters
+        ----------
+        question : str
+            "path", "tour", "matrix", "reach", "feasibility", "speeds", "homeward" or "charging".
+        wanted : OnMap
+            Its request.
+        progress : callable, optional
+            Called with the share done, 0..1, while a path is searched.
+
+        Returns
+        -------
+        BaseModel
+            As the method of this question returns it.
+
+        Raises
+        ------
+        BusyError
+            If the connection ends before the answer comes.
+        """
+        place, answer = _ANSWERS[question]
+        if progress is None or answer is not PathOut:
+            return self._connection.ask(answer, "POST", f"{self._place}/{place}", json=self._body(wanted))
+        for name, document in self._connection.events(f"{self._place}/{place}", self._body(wanted)):
+            if name == "answer":
+                return PathOut.model_validate(document)
+            progress(float(document))
+        raise BusyError("the connection ended before the answer came", url=self._connection.url)
+
+    def file(
+        self, question: str, wanted: OnMap, *, format: str, coordinates: str | None = None, origin: str | None = None
+    ) -> bytes:
+        """Return the routes that answer a question, as a file for another program.
+
+        Parameters
+        ----------
+        question : str
+            "path", "tour", "feasibility" or "speeds".
+        wanted : OnMap
+            Its request.
+        format : str
+            As in `plan_file`.
+        coordinates : str, optional
+            Of GeoJSON, "wgs84" or "map".
+        origin : str, optional
+            Of formats for ROS, as in `plan_file`.
+
+        Returns
+        -------
+        bytes
+            The file.
+        """
+        place = _ANSWERS[question][0]
+        return self._file(place, wanted, format=format, coordinates=coordinates, origin=origin).content
+
+    def _file(self, question: str, wanted: OnMap, **query: str | None) -> httpx.Response:
+        params = _given(**query)
+        return self._connection.send("POST", f"{self._place}/{question}", json=self._body(wanted), params=params)
 
     @asks(TourRequest)
     def tour(self, wanted: TourRequest) -> TourOut:
@@ -220,7 +289,7 @@ class ServedCostMap:
         PointError, BlockedError, NoRouteError
             As `CostMap.tour`.
         """
-        return self._ask(TourOut, "tours", wanted)
+        return self.ask("tour", wanted)
 
     @asks(MatrixRequest)
     def matrix(self, wanted: MatrixRequest) -> MatrixOut:
@@ -241,7 +310,28 @@ class ServedCostMap:
         PointError
             If a place lies outside the map.
         """
-        return self._ask(MatrixOut, "matrix", wanted)
+        return self.ask("matrix", wanted)
+
+    @asks(ChargingRequest)
+    def charging(self, wanted: ChargingRequest) -> ChargingOut:
+        """Find the cheapest way that never falls below the reserve, charging where it may.
+
+        Parameters
+        ----------
+        wanted : ChargingRequest
+            Its fields are parameters of this method.
+
+        Returns
+        -------
+        ChargingOut
+            Its legs with what is charged before each; without legs, why there is no such way.
+
+        Raises
+        ------
+        PointError
+            If a place lies outside the map.
+        """
+        return self.ask("charging", wanted)
 
     @asks(ReachRequest)
     def reach(self, wanted: ReachRequest) -> ReachOut:
@@ -262,7 +352,7 @@ class ServedCostMap:
         PointError, BlockedError
             As `CostMap.reach`.
         """
-        return self._ask(ReachOut, "reach", wanted)
+        return self.ask("reach", wanted)
 
     @asks(FeasibilityRequest, "path", complete=False)
     def feasibility(
@@ -301,7 +391,7 @@ class ServedCostMap:
             wanted |= {"start": route.path[0][:2], "goal": route.path[-1][:2]}
         elif route is not None:
             wanted["path"] = route.path if isinstance(route, PathOut | TourOut) else route
-        return self._ask(FeasibilityOut, "feasibility", FeasibilityRequest.of(**wanted))
+        return self.ask("feasibility", FeasibilityRequest.of(**wanted))
 
     @asks(SpeedsRequest, "path", complete=False)
     def speeds(self, wanted: dict[str, Any], points: Sequence[Point] | None = None) -> SpeedsOut:
@@ -324,7 +414,45 @@ class ServedCostMap:
         InputError
             If the model does not know what speed costs.
         """
-        return self._ask(SpeedsOut, "speeds", SpeedsRequest.of(**wanted, path=points))
+        return self.ask("speeds", SpeedsRequest.of(**wanted, path=points))
+
+    @asks(SpeedsRequest, "path", complete=False)
+    def speeds_file(
+        self,
+        wanted: dict[str, Any],
+        points: Sequence[Point] | None = None,
+        *,
+        format: str,
+        coordinates: str | None = None,
+        origin: str | None = None,
+    ) -> bytes:
+        """Return the route that `speeds` is asked for as a file: missions have the cheapest speeds.
+
+        Parameters
+        ----------
+        wanted : SpeedsRequest
+            Its fields are parameters of this method.
+        points : sequence of points, optional
+            World x, y [m], in order, in place of start and goal.
+        format : str
+            As in `plan_file`.
+        coordinates : str, optional
+            Of GeoJSON, "wgs84" or "map".
+        origin : str, optional
+            Of formats for ROS, as in `plan_file`.
+
+        Returns
+        -------
+        bytes
+            The file.
+
+        Raises
+        ------
+        InputError
+            If the model does not know what speed costs, or the map has no CRS and the format needs degrees.
+        """
+        asked = SpeedsRequest.of(**wanted, path=points)
+        return self.file("speeds", asked, format=format, coordinates=coordinates, origin=origin)
 
     @asks(ReturnRequest)
     def homeward(self, wanted: ReturnRequest) -> ReturnOut:
@@ -345,7 +473,7 @@ class ServedCostMap:
         PointError, BlockedError
             As `CostMap.homeward`.
         """
-        return self._ask(ReturnOut, "return", wanted)
+        return self.ask("homeward", wanted)
 
     def at(self, point: Point) -> AtOut:
         """Return the energy per metre at one place in all headings.
@@ -364,17 +492,19 @@ class ServedCostMap:
         place = here if isinstance(here, Mapping) else {"x": here[0], "y": here[1]}
         return self._connection.ask(AtOut, "GET", f"{self._place}/at", params=place)
 
-    def data(self, format: str = "geotiff") -> bytes:
+    def data(self, format: str = "geotiff", *, origin: str | None = None) -> bytes:
         """Return the whole cost map as a file.
 
         Parameters
         ----------
         format : str, optional
             "geotiff", "cog", "npz", "zarr" and "nav2-map", which are zipped, or "nav2-graph".
+        origin : str, optional
+            Of Nav2 formats: "x,y" of the place that gets the coordinates 0,0 [m].
 
         Returns
         -------
         bytes
             The file.
         """
-        return self._connection.send("GET", f"{self._place}/data", params={"format": format}).content
+        return self._connection.send("GET", f"{self._place}/data", params=_given(format=format, origin=origin)).content

@@ -14,11 +14,13 @@ from joulemap.model.errors import BusyError, ConflictError, RateError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.mapping import MappingLike, read_mapping
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.service.client.answers import error_of
-from joulemap.service.client.connection import Connection, part_of_path
+from joulemap.model.terrain.layers.kinds import read_legend
+from joulemap.service.client.connection import Connection, error_of, part_of_path
 from joulemap.service.client.costmap import Progress, ServedCostMap
 from joulemap.service.library.heightmaps import robot_of
-from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.questions.asking import asks
+from joulemap.service.questions.costmap import CostmapOptions
+from joulemap.service.questions.given import plain
 from joulemap.service.schemas.loop import CalibrationOut, RunsOut
 from joulemap.service.schemas.maps import CostmapOut, HeightmapOut
 
@@ -91,7 +93,8 @@ class Client:
         name : str, optional
             Its name for people; by default that of the file.
         **reading
-            What the file does not say, as `read_heightmap` takes it: resolution_m, crs, scale_m ...
+            What the file does not say, as `read_heightmap` takes it: resolution_m, crs, scale_m ...; `layer=True` for a
+            raster that cost maps name as a layer.
 
         Returns
         -------
@@ -114,16 +117,13 @@ class Client:
         query = {key: value for key, value in reading.items() if value is not None}
         return self._connection.ask(HeightmapOut, "POST", "/v1/heightmaps", files={"file": (name, data)}, params=query)
 
+    @asks(CostmapOptions, "robot", complete=False)
     def costmap(
         self,
         ground: GroundLike,
         *,
         robot: RobotLike = None,
-        model: str = DEFAULT_MODEL,
-        spacing_m: float = 1.0,
-        headings: int = 16,
-        layers: Mapping[str, Any] | None = None,
-        legend: Mapping[str, Any] | None = None,
+        wanted: dict[str, Any],
         progress: Progress | None = None,
         timeout_s: float | None = None,
     ) -> ServedCostMap:
@@ -135,16 +135,8 @@ class Client:
             A heightmap, which is sent; or the id or description of one that was sent.
         robot : Robot, mapping, str, Path or None, optional
             The robot, its values, or its TOML file.
-        model : str, optional
-            ``default``, ``physics``, or the id of a model of the service.
-        spacing_m : float, optional
-            Side of a cell [m].
-        headings : int, optional
-            Number of headings of each cell.
-        layers : dict of str to dict, optional
-            GeoJSON with polygons of `kinds`, `obstacles`, `free`, `factor` or `cost`.
-        legend : dict of str to dict, optional
-            What kinds of ground cost, by name.
+        wanted : CostmapOptions
+            Its fields are parameters of this method.
         progress : callable, optional
             Called with the share done, 0..1.
         timeout_s : float, optional
@@ -162,8 +154,10 @@ class Client:
         BusyError
             If it takes longer than `timeout_s`; without one, if the service says nothing of it for a minute.
         """
-        body = {"heightmap_id": self._ground_id(ground), "model": model, "spacing_m": spacing_m, "headings": headings}
-        body |= {name: dict(given) for name, given in (("layers", layers), ("legend", legend)) if given}
+        layers, legend = (wanted.pop(name, None) or {} for name in ("layers", "legend"))
+        body = {"heightmap_id": self._ground_id(ground)} | {n: plain(v) for n, v in wanted.items() if v is not None}
+        body["layers"] = {role: self._layer(layer) for role, layer in layers.items()}
+        body["legend"] = legend if isinstance(legend, Mapping) else read_legend(legend).as_dict()
         asked = self._connection.ask(CostmapOut, "POST", "/v1/costmaps", json=body | _robot_values(robot))
         return ServedCostMap(self._connection, self._wait(asked, "/v1/costmaps", progress, timeout_s))
 
@@ -302,12 +296,21 @@ class Client:
         kinds = {HeightmapOut: "heightmaps", RunsOut: "runs", CostmapOut: "costmaps", CalibrationOut: "calibrations"}
         self._connection.send("DELETE", f"/v1/{kinds[type(found)]}/{part_of_path(found.id)}")
 
-    def _ground_id(self, ground: GroundLike) -> str:
+    def _layer(self, given: Mapping[str, Any] | GroundLike) -> dict[str, Any]:
+        if isinstance(given, Mapping):
+            return dict(given)
+        if isinstance(given, str | Path) and Path(given).suffix.lower() in (".geojson", ".json"):
+            from joulemap.model.terrain.layers.polygons import read_document  # loads slowly
+
+            return dict(read_document(given))
+        return {"heightmap_id": self._ground_id(given, layer=True)}
+
+    def _ground_id(self, ground: GroundLike, **reading: Any) -> str:
         if isinstance(ground, HeightmapOut):
             return ground.id
         if isinstance(ground, str) and _HEIGHTMAP_ID.fullmatch(ground):
             return ground
-        return self.heightmap(ground).id
+        return self.heightmap(ground, **reading).id
 
     def _wait(self, job: Job, place: str, progress: Progress | None, timeout_s: float | None) -> Job:
         deadline = None if timeout_s is None else time.monotonic() + timeout_s

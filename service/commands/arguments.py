@@ -34,21 +34,9 @@ class Command(TyperCommand):
     """A command whose list options take every value up to the next option: `--runs a.csv b.csv --out found`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse `args` as typer does, once they have one value for each option.
-
-        Parameters
-        ----------
-        ctx : typer.Context
-            Of this command.
-        args : list of str
-            What was typed after the command's name.
-
-        Returns
-        -------
-        list of str
-            What is left over.
-        """
+        """Parse `args` as typer does, once they have one value for each option."""
         ctx.meta[TYPED] = list(args)
+        RUNNING.set(self.params)
         options: list[Any] = [option for option in self.params if option.param_type_name == "option"]
         names = {name for option in options for name in option.opts}
         known = {old: new for old, new in RENAMED.items() if new in names and old not in names}
@@ -64,22 +52,6 @@ class Command(TyperCommand):
             ),
         )
 
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command.
-
-        Parameters
-        ----------
-        ctx : typer.Context
-            Of this command.
-
-        Returns
-        -------
-        object
-            Whatever it returns.
-        """
-        RUNNING.set(self.params)
-        return super().invoke(ctx)
-
 
 def _renamed(word: str, known: Mapping[str, str]) -> str:
     name, equals, value = word.partition("=")
@@ -87,25 +59,7 @@ def _renamed(word: str, known: Mapping[str, str]) -> str:
 
 
 def one_value_each(args: Iterable[str], *, lists: set[str], singles: set[str], only_points: bool = False) -> list[str]:
-    """Return a command line in which an option of several values is repeated before each of them.
-
-    Parameters
-    ----------
-    args : iterable of str
-        As they were typed, or as the shell expanded them.
-    lists : set of str
-        Options that may be repeated, each with one value.
-    singles : set of str
-        Other options with one value.
-    only_points : bool
-        Take only texts like `12.5,40` as further values: the command has a positional argument, which may come after
-        the option.
-
-    Returns
-    -------
-    list of str
-        `--runs a b` is now `--runs a --runs b`.
-    """
+    """Return a command line in which an option of several values is repeated before each of them."""
     words, out = list(args), list[str]()
     option, wants_value = "", False
     for k, word in enumerate(words):
@@ -136,18 +90,6 @@ def with_option_names(message: str, parameters: Iterable[Any]) -> str:
     """Return a message of the library in which parameters have the names of a command's options.
 
     The library writes a parameter's name in backticks, with its unit: `resolution_m` becomes --resolution.
-
-    Parameters
-    ----------
-    message : str
-        Of an error or a warning.
-    parameters : iterable of typer.core.TyperOption and TyperArgument
-        Those of the command that runs.
-
-    Returns
-    -------
-    str
-        Names that are no parameter of the command are left as they are.
     """
     options = {p.name: max(p.opts, key=len) if p.param_type_name == "option" else p.metavar for p in parameters}
 

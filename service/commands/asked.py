@@ -9,13 +9,11 @@ all of them are listed.
 from __future__ import annotations
 
 import inspect
-import math
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
@@ -23,9 +21,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type
 import typer
 
 from joulemap.service.commands.arguments import Command
-from joulemap.service.commands.battery_file import BatteryFile, battery_values
 from joulemap.service.commands.console import Output, PlainErrors, parse_point, parse_share
-from joulemap.service.commands.options import known_model, there
+from joulemap.service.commands.options import BatteryFile, battery_values, known_model, there
 from joulemap.service.commands.route_files import PLACE
 from joulemap.service.words import capital
 
@@ -34,6 +31,7 @@ if TYPE_CHECKING:
 
     from joulemap.model.frames import GridFrame
     from joulemap.service.questions.fields import Field
+    from joulemap.service.questions.parts import OnMap
 
 _TYPES = {"integer": int, "number": float, "string": str, "boolean": bool, "array": list}
 _METAVARS = {"m": "M", "s": "S", "w": "W", "wh": "WH", "percent": "PERCENT"}  # by the unit that a name ends with
@@ -49,16 +47,9 @@ _NAMES = {
 """Options whose names are not that of their field."""
 _FILES = {
     "avoid": "GeoJSON with areas (polygons) that no route may touch; may be given several times.",
-    "legend": "Legend of `--layer kinds=FILE` (TOML): a table for every kind of ground, with its `value` in the layer, "
-    "and `rolling_resistance` or `factor`, with `std`, or `blocked`; by default those of the library.",
     "path": "A path: GeoJSON, GPX, KML, a mission (.plan, .waypoints), the JSON of `joulemap path` or `tour`, or CSV "
     "with lines x,y. Several lines are driven one after another.",
 }
-_LAYERS = (
-    "A layer over the heightmap, in its own resolution and coordinate system: kinds=FILE (kinds of ground), "
-    "obstacles=FILE (raster, GeoJSON, or YAML of a Nav2 map), free=FILE (the only ground to be driven on), factor=FILE "
-    "(of the energy), cost=FILE (added J/m); may be given several times."
-)
 _OF_BATTERY = ("charge", "reserve", "capacity_wh")
 
 
@@ -68,6 +59,7 @@ class Wanted:
 
     typed: dict[str, Any]
     changed: frozenset[str]
+    request: type[OnMap]
 
     def __contains__(self, name: str) -> bool:
         return name in self.changed
@@ -162,12 +154,13 @@ def _part(parameter: inspect.Parameter, kind: Any) -> _Part:
         return _Part([option], lambda typed: typed.pop(parameter.name))
     place, *without = get_args(kind)[1].split(" -")
     module, _, request = place.partition(":")
-    options = list(_options_of(getattr(import_module(module), request), without))
+    asked = getattr(import_module(module), request)
+    options = list(_options_of(asked, without))
 
     def _made(typed: dict[str, Any]) -> Wanted | dict[str, Any]:
         values = {option.name: typed.pop(option.name) for option in options}
         changed = {option.name for option in options if values[option.name] != option.default}
-        wanted = Wanted(_joined(values), frozenset(changed | ({"battery"} & values.keys())))
+        wanted = Wanted(_joined(values), frozenset(changed | ({"battery"} & values.keys())), asked)
         return wanted if get_args(kind)[0] is Wanted else wanted.typed
 
     return _Part(options, _made)
@@ -203,6 +196,8 @@ def _joined(typed: dict[str, Any]) -> dict[str, Any]:
 
 def _layers(words: Sequence[str]) -> dict[str, list[str]]:
     """Layers as they were typed, WHAT=FILE, by what they are of."""
+    from joulemap.model.terrain.layers.layer import ROLES  # loads slowly
+
     found: dict[str, list[str]] = {}
     for text in words:
         role, equals, file = text.partition("=")
@@ -210,6 +205,8 @@ def _layers(words: Sequence[str]) -> dict[str, list[str]]:
             raise typer.BadParameter(
                 f"{text!r} is no layer: write WHAT=FILE, like kinds=land.tif", param_hint="--layer"
             )
+        if role not in ROLES:
+            raise typer.BadParameter(f"{role!r} is no layer: known are {', '.join(ROLES)}", param_hint="--layer")
         there(Path(file))
         found.setdefault(role, []).append(file)
     return found
@@ -227,7 +224,7 @@ def _options_of(request: type[BaseModel], without: Sequence[str]) -> Iterator[in
             file = typer.Option(f"--{name}", metavar="FILE", callback=there, help=_FILES[name])
             yield _parameter(name, Annotated[list[Path] | None if several else Path | None, file], None)
         elif name == "layers":
-            option = typer.Option("--layer", metavar="WHAT=FILE", help=_LAYERS)
+            option = typer.Option("--layer", metavar="WHAT=FILE", help=_sentence(field, fields))
             yield _parameter(name, Annotated[list[str] | None, option], None)
         elif name == "charges":  # several shares, and with them the charge of the battery
             option = typer.Option("--charge", metavar="0..1[,0..1...]", parser=_shares, help=_sentence(field, fields))
@@ -272,13 +269,12 @@ def _option(
         and default is not None
         and any(one.get("type") == "null" for one in field.get("anyOf", ()))
     ):
-        words |= {"metavar": f"{low:g}..{high:g}|null", "parser": partial(_or_null, low, high)}
+        words |= {"metavar": f"{low:g}..{high:g}|null", "parser": _or_null}
         kind = Any
     elif (low, high) == (0.0, 1.0):
         words |= {"metavar": "0..1", "parser": parse_share}
     elif kind in (int, float):
-        share = high is not None and high <= 1.0  # the upper ends of others protect a service that many share
-        words |= {"min": low if low is not None and low >= 0 else None, "max": high if share else None}
+        share = high is not None and high <= 1.0
         words["metavar"] = "0..1" if share else "N" if kind is int else _METAVARS.get(name.rpartition("_")[2], "NUMBER")
     elif value.get("format") == "path":
         kind, words = Path, {**words, "metavar": "FILE", "callback": there}
@@ -313,17 +309,12 @@ def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
     )
 
 
-def _or_null(low: float, high: float, text: Any) -> Any:
-    """A number within its bounds, or null for none."""
-    if text == "null":
-        return None
+def _or_null(text: Any) -> Any:
+    """A number, or null for none; its bounds are those of the request."""
     try:
-        value = float(text)
+        return None if text == "null" else float(text)
     except ValueError:
-        value = math.nan
-    if not low <= value <= high:
-        raise typer.BadParameter(f"{text} is not in the range {low:g}..{high:g}; `null` is for none")
-    return value
+        raise typer.BadParameter(f"{text!r} is no number; `null` is for none") from None
 
 
 def _shares(text: Any) -> Any:

@@ -14,7 +14,7 @@ from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, json_text, progress_bar, write_file
 from joulemap.service.commands.drives import ComparedDrives
 from joulemap.service.commands.options import robot_words
-from joulemap.service.commands.route_files import RouteCoordinates, RouteFiles, RouteFormatName, wanted_files
+from joulemap.service.commands.route_files import RouteFiles
 from joulemap.service.words import energy_words, runs_words
 
 if TYPE_CHECKING:
@@ -155,10 +155,9 @@ def suggest_drive(
         ),
     ] = None,
     length: Annotated[float, typer.Option(min=10.0, metavar="M", help="About how far to drive in all [m].")] = 200.0,
-    out: RouteFiles = None,
-    format: RouteFormatName = None,
-    coordinates: RouteCoordinates = None,
     json_file: JsonFile = None,
+    *,
+    route_files: RouteFiles,
 ) -> None:
     """Suggest **what to drive next**: the route that best separates confounded effects or narrows a coefficient.
 
@@ -169,7 +168,7 @@ def suggest_drive(
     from joulemap.service.loop.next_drive import suggest_next_drive
     from joulemap.service.loop.next_words import drive_words
 
-    output, files = Output(json_file), wanted_files(out, format, coordinates)
+    output, files = Output(json_file), route_files.wanted()
     read = drives.read()
     with progress_bar("Calibrating") as report:
         found = suggest_next_drive(drives.model, read, effect=effect, length_m=length, progress=report).as_dict()
@@ -182,6 +181,6 @@ def suggest_drive(
             "one round": f"{found['length_m']:.0f} m, repeated for {length:.0f} m, at {_pace(found)}",
         }
     )
-    for file in files:
-        write_file(file.path, file.content(track_of_drive(found)))
+    for path, file in files:
+        write_file(path, file.written(track_of_drive(found)))
     output.document(with_former_keys(found))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 import shutil
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -21,7 +20,7 @@ from joulemap.service.commands.arguments import TYPED
 if TYPE_CHECKING:
     from distributed import Client
 
-    from joulemap.service.cost_lattices import Written
+    from joulemap.service.analysis.cost_lattices import Written
 
 _HELP = "Let workers of a Dask scheduler do it, like tcp://HOST:8786. They must find the same files at the same paths."
 
@@ -70,7 +69,7 @@ async def _client_at(address: str) -> AsyncIterator[Client]:
 def _run(address: str, arguments: list[str]) -> int:
     from joulemap.service.work.processes import run_command
 
-    topic = f"joulemap-{secrets.token_hex(6)}"
+    topic = f"joulemap-{os.urandom(6).hex()}"
 
     async def _there() -> int:
         async with _client_at(address) as client:
@@ -94,43 +93,11 @@ def costmap_there(
     headings: int,
     progress: Callable[[float], None],
 ) -> Written:
-    """Make a cost map on a cluster, tile by tile.
-
-    Parameters
-    ----------
-    address : str
-        Of the scheduler.
-    out : Path
-        Folder to write.
-    heightmap : Path
-        The file.
-    reading : mapping
-        How it is read.
-    robot : mapping
-        As `Robot.as_dict`.
-    model : str
-        Name or folder of the model.
-    spacing_m : float
-        Side of a cell [m].
-    headings : int
-        Number of heading bins.
-    progress : callable
-        Called with the share that is done, 0..1.
-
-    Returns
-    -------
-    Written
-        What was written.
-
-    Raises
-    ------
-    BusyError
-        If no scheduler answers.
-    """
+    """Make a cost map on a cluster, tile by tile. Raises BusyError if no scheduler answers."""
     from joulemap.model.energy.predictor import MODEL_NAMES
     from joulemap.model.frames import GridFrame
     from joulemap.model.robot import Robot
-    from joulemap.service.cost_lattices import Written
+    from joulemap.service.analysis.cost_lattices import Written
     from joulemap.service.jobs.costmaps import make
     from joulemap.service.work.tiles import MapOrder
 
@@ -144,7 +111,7 @@ def costmap_there(
 
     async def _make() -> dict[str, Any]:
         async with _client_at(address) as client:
-            return await make(client, order, key=f"joulemap-{secrets.token_hex(6)}", report=_report)
+            return await make(client, order, key=f"joulemap-{os.urandom(6).hex()}", report=_report)
 
     import asyncio  # loads slowly, and most commands need it not
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,13 +15,13 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 from typer.core import TyperGroup
 
 from joulemap.model.errors import JoulemapError
 from joulemap.service.commands.arguments import RUNNING, with_option_names
 
+_NOT_INSTALLED = 3  # as for input that cannot be used
 STOPPED = 130
 """Exit code of a command that was stopped by Ctrl-C, as in every shell."""
 
@@ -37,60 +38,78 @@ class PlainErrors(TyperGroup):
     """A command group in which an error of the tree is one line on stderr and an exit code, never a traceback."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command that the context names.
-
-        Parameters
-        ----------
-        ctx : typer.Context
-            Of the group.
-
-        Returns
-        -------
-        object
-            Whatever the command returns.
-
-        Raises
-        ------
-        typer.Exit
-            With the exit code of `service.problems`, 1 where a file cannot be read or written, 130 after Ctrl-C.
-        """
-        try:
+        """Run the command that the context names."""
+        with plain_errors():
             return super().invoke(ctx)
-        except JoulemapError as error:
-            from joulemap.service.problems import exit_code
 
-            command = self.get_command(ctx, ctx.invoked_subcommand or "")
-            options = command.params if command is not None else ()
-            fail(with_option_names(error.message, options) + _way_out(error, options))
-            raise typer.Exit(exit_code(error)) from error
-        except KeyboardInterrupt as stop:
-            fail(str(stop), mark="stopped")
-            raise typer.Exit(STOPPED) from stop
-        except BrokenPipeError:
+
+@contextmanager
+def plain_errors() -> Iterator[None]:
+    """Say an error of the command that runs inside.
+
+    Raises typer.BadParameter for options that do not go together; else typer.Exit with the exit code of
+    `service.problems`, 1 where a file cannot be read or written, 130 after Ctrl-C.
+    """
+    try:
+        yield
+    except JoulemapError as error:
+        from joulemap.service.problems import exit_code
+        from joulemap.service.schemas.findings import BODY
+
+        options = RUNNING.get()
+        words = with_option_names(_said(error), options) + _way_out(error, options)
+        wrong = error.context.get("errors")
+        if wrong and all(one["field"] == BODY for one in wrong):  # not a value, but which options are given together
+            raise typer.BadParameter(words) from error
+        fail(words)
+        raise typer.Exit(exit_code(error)) from error
+    except KeyboardInterrupt as stop:
+        fail(str(stop), mark="stopped")
+        raise typer.Exit(STOPPED) from stop
+    except ModuleNotFoundError as error:
+        if (extra := extra_of(error)) is None:
             raise
-        except OSError as error:
-            place = f"{error.filename}: " if error.filename is not None else ""
-            fail(f"{place}{error.strerror or error}")
-            raise typer.Exit(1) from error
+        fail(f"this needs {error.name}, which is not installed: pip install 'joulemap[{extra}]'")
+        raise typer.Exit(_NOT_INSTALLED) from error
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename is not None else ""
+        fail(f"{place}{error.strerror or error}")
+        raise typer.Exit(1) from error
+
+
+def extra_of(error: BaseException) -> str | None:
+    """The extra of this distribution that brings a module which is missing; None for another error."""
+    if not isinstance(error, ModuleNotFoundError) or error.name is None:
+        return None
+    from importlib.metadata import requires  # loads slowly
+
+    name = re.escape(error.name.partition(".")[0].replace("_", "-"))
+    lines = (re.match(rf'{name}\b[^;]*;.*extra == "(\w+)"', line, re.IGNORECASE) for line in requires("joulemap") or ())
+    return next((found[1] for found in lines if found and found[1] != "dev"), None)
+
+
+def _said(error: JoulemapError) -> str:
+    """The message; fields of a request are named in backticks, so that they get the names of options."""
+    wrong = error.context.get("errors")
+    if not wrong:
+        return error.message
+    names = (next(part for part in reversed(one["field"].split(".")) if not part.isdigit()) for one in wrong)
+    said = ((f"`{name}`: " if name != "body" else "") + one["message"] for name, one in zip(names, wrong, strict=True))
+    return "; ".join(said)
 
 
 def _way_out(error: JoulemapError, options: Iterable[Any]) -> str:
     """An option of the command that helps, of which the library cannot know."""
-    if "nearest" in error.context and any("--snap" in option.opts for option in options):
+    tried = "furthest_m" in error.context
+    if "nearest" in error.context and not tried and any("--snap" in option.opts for option in options):
         return "; --snap goes there"
     return ""
 
 
 def fail(message: str, *, mark: str = "error") -> None:
-    """Write one line on stderr.
-
-    Parameters
-    ----------
-    message : str
-        What is wrong; may be empty.
-    mark : str
-        What the line begins with.
-    """
+    """Write one line on stderr."""
     words = f"[bold red]{mark}{':' if message else ''}[/] {escape(message)}".rstrip()
     Console(stderr=True, soft_wrap=True).print(words, highlight=False)
 
@@ -110,58 +129,25 @@ class Output:
         self.console = Console(stderr=self.to_stdout, soft_wrap=True)
 
     def say(self, line: str = "", *, head: str = "", style: str = "bold") -> None:
-        """Write a line.
-
-        Parameters
-        ----------
-        line : str
-            Plain text: names of files and robots may hold brackets.
-        head : str
-            Stands before it, in a style.
-        style : str
-            Of rich.
-        """
+        """Write a line."""
         gap = " " if head and line else ""
         self.console.print(Text.assemble((head, style), gap, line), highlight=False)
 
     def table(self, rows: Mapping[str, str]) -> None:
-        """Write names and values in two columns.
-
-        Parameters
-        ----------
-        rows : mapping of str to str
-            Name -> value, plain text.
-        """
+        """Write names and values in two columns."""
         width = max(map(len, rows), default=0)
         for name, value in rows.items():
             self.say(value, head=f"  {name:<{width}} ", style="dim")
 
     def warn(self, warnings: Iterable[str]) -> None:
-        """Write what the user must not overlook, on stderr.
-
-        Parameters
-        ----------
-        warnings : iterable of str
-            Each is a line.
-        """
+        """Write what the user must not overlook, on stderr."""
         console = Console(stderr=True, soft_wrap=True)
         for warning in warnings:
             words = with_option_names(warning, RUNNING.get())
             console.print(f"[bold yellow]warning:[/] {escape(words)}", highlight=False)
 
     def document(self, document: Mapping[str, Any]) -> None:
-        """Write the JSON document where `--json` wants it.
-
-        Parameters
-        ----------
-        document : mapping
-            Plain values.
-
-        Raises
-        ------
-        JoulemapError
-            If a number of it is not finite.
-        """
+        """Write the JSON document where `--json` wants it. Raises JoulemapError if a number of it is not finite."""
         if self.json_file is None:
             return
         text = json_text(document)
@@ -174,20 +160,7 @@ class Output:
 def json_text(document: Mapping[str, Any]) -> str:
     """Return a document as JSON that every reader accepts.
 
-    Parameters
-    ----------
-    document : mapping
-        Plain values.
-
-    Returns
-    -------
-    str
-        With a line feed at its end.
-
-    Raises
-    ------
-    JoulemapError
-        If a number of it is not finite: JSON has no NaN.
+    Raises JoulemapError if a number of it is not finite: JSON has no NaN.
     """
     try:
         return json.dumps(document, indent=2, allow_nan=False) + "\n"
@@ -209,42 +182,28 @@ def _place_of_no_number(value: Any, place: str = "") -> str:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file, and make its folder where it is missing.
-
-    Parameters
-    ----------
-    path : Path
-        What is there is replaced.
-    content : bytes
-        All of it.
-    """
+    """Write a file, and make its folder where it is missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
 
 
 @contextmanager
 def leaves_nothing_behind() -> Iterator[None]:
-    """Say so when Ctrl-C stops what is done inside, which removes its own traces."""
+    """Say so when Ctrl-C or SIGTERM stops what is done inside, which removes its own traces."""
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # by default nothing is removed
     try:
         yield
     except KeyboardInterrupt as stop:
         raise KeyboardInterrupt("nothing is left behind") from stop
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Report]:
-    """Show a bar on stderr that is gone when the work is done.
+    """Show a bar on stderr that is gone when the work is done; its function is called with the share done, 0..1."""
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-    Parameters
-    ----------
-    what : str
-        One word before the bar.
-
-    Yields
-    ------
-    callable
-        Moves the bar; its argument is the share that is done, 0..1.
-    """
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
@@ -253,23 +212,9 @@ def progress_bar(what: str) -> Iterator[Report]:
 
 
 def parse_point(text: str | tuple[float, float] | dict[str, float]) -> tuple[float, float] | dict[str, float]:
-    """Return a place that was typed.
+    """Return a place that was typed: x, y [m], or latitude, longitude of a text such as 36.72N,4.49W.
 
-    Parameters
-    ----------
-    text : str
-        Like "12.5,40" [m], or "36.72N,4.49W" [degrees]; what was parsed is returned as it is.
-
-    Returns
-    -------
-    tuple of float or dict
-        The two numbers: x, y [m] where they lie on the map, else latitude, longitude. Of degrees with letters, an
-        object with `lat` and `lon`.
-
-    Raises
-    ------
-    typer.BadParameter
-        If the text is no point: wrong usage (exit code 2).
+    What was parsed already is returned as it is. Raises typer.BadParameter if the text is no point.
     """
     if not isinstance(text, str):
         return text
@@ -285,23 +230,17 @@ def parse_point(text: str | tuple[float, float] | dict[str, float]) -> tuple[flo
     return x, y
 
 
+def check_origin(text: str | None) -> str | None:
+    """Return an origin that was typed. Raises typer.BadParameter if it is neither X,Y nor the word start."""
+    if text is not None and text != "start" and not isinstance(parse_point(text), tuple):
+        raise typer.BadParameter(f"{text!r} is not X,Y: two numbers of metres with a comma between")
+    return text
+
+
 def parse_share(text: str | float) -> float:
     """Return a share that was typed.
 
-    Parameters
-    ----------
-    text : str or float
-        Like "0.6".
-
-    Returns
-    -------
-    float
-        0..1.
-
-    Raises
-    ------
-    typer.BadParameter
-        If it is no number of 0..1. For a percentage the message says what to type.
+    Raises typer.BadParameter if it is no number of 0..1. For a percentage the message says what to type.
     """
     try:
         share = float(str(text).rstrip("% "))

@@ -1,19 +1,99 @@
-"""`joulemap check`, `backup` and `restore`: the data directory of a service."""
+"""`joulemap check`, `backup` and `restore`: the data directory of a service, beside one that may be running."""
 
 from __future__ import annotations
 
+import errno
+import os
+import re
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from joulemap.model.errors import InputError, NotFoundError
 from joulemap.service.commands.console import JsonFile, Output, progress_bar
-from joulemap.service.commands.data_folder import DataDir, opened_store, settings_of, used, writable
 from joulemap.service.commands.options import there
 
 if TYPE_CHECKING:
+    from joulemap.service.hosting.settings import Settings
     from joulemap.service.storage.check import Finding
+    from joulemap.service.storage.store import Store
+
+
+_PASSWORD = re.compile(r"(://[^:@/]*:)[^@]*@")
+DataDir = Annotated[
+    Path | None,
+    typer.Option(
+        "--data-dir", metavar="DIR", help="The service's data folder. [default: JOULEMAP_DATA_DIR, else data]"
+    ),
+]
+
+
+def settings_of(**given: Any) -> Settings:
+    """The settings of the options that are given, and of the environment. A wrong one is wrong usage."""
+    from pydantic import ValidationError
+    from pydantic_settings import SettingsError
+
+    from joulemap.service.hosting.settings import Settings
+
+    try:
+        return Settings(**{key: value for key, value in given.items() if value is not None})
+    except ValidationError as error:
+        raise typer.BadParameter("; ".join(map(_wrong, error.errors()))) from error
+    except SettingsError as error:
+        raise typer.BadParameter(f"{error}: it is a list in JSON") from error
+
+
+def _wrong(found: Any) -> str:
+    """One of pydantic's findings in words."""
+    words = str(found["msg"]).removeprefix("Value error, ")
+    given = _PASSWORD.sub(r"\1***@", repr(found["input"]))
+    return f"JOULEMAP_{found['loc'][0]!s}".upper() + f" is {given}: {words}"
+
+
+def writable(settings: Settings) -> Settings:
+    """The same settings, with a data folder. Raises OSError where it cannot be written."""
+    from joulemap.service.storage.private import FOLDER_MODE
+
+    settings.data_dir.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
+    if not os.access(settings.data_dir, os.W_OK):
+        raise PermissionError(errno.EACCES, "no right to write there", str(settings.data_dir))
+    return settings
+
+
+def used(settings: Settings) -> Settings:
+    """The same settings, of a service that was started before. Raises NotFoundError where nothing was ever kept."""
+    if settings.database_url is None and not (settings.data_dir / "joulemap.db").is_file():
+        words = f"{settings.data_dir} is no data directory of joulemap: it has no joulemap.db"
+        raise NotFoundError(words, data_dir=str(settings.data_dir))
+    return settings
+
+
+@contextmanager
+def opened_store(settings: Settings, *, alone: bool = False) -> Iterator[Store]:
+    """The store of a data folder; what is written meanwhile is for this account alone.
+
+    alone : no service may use it meanwhile. Raises ConflictError, InputError.
+    """
+    from sqlalchemy.exc import DatabaseError
+
+    from joulemap.service.storage.private import private_files
+    from joulemap.service.storage.store import Store
+
+    store = Store(settings.data_dir, settings.resolved_database_url, objects=settings.store)
+    try:
+        with private_files():
+            store.open(as_service=alone, alone=alone)
+            yield store
+    except DatabaseError as error:
+        where = _PASSWORD.sub(r"\1***@", settings.resolved_database_url)
+        raise InputError(f"the database {where} cannot be used: {' '.join(str(error.orig).split())}") from error
+    finally:
+        store.close()
+
 
 _LEFT = 1  # exit code of a check that leaves something wrong
 
@@ -60,13 +140,7 @@ def check(
 
 
 def _document(finding: Finding, *, repaired: bool) -> dict[str, Any]:
-    return {
-        "kind": finding.kind,
-        "what": finding.what,
-        "words": finding.words,
-        "remedy": finding.remedy,
-        "repaired": repaired,
-    }
+    return {name: getattr(finding, name) for name in ("kind", "what", "words", "remedy")} | {"repaired": repaired}
 
 
 def _after(one: dict[str, Any], repair: bool) -> str:
@@ -95,7 +169,7 @@ def backup(
     used(settings)
     with opened_store(settings) as store, progress_bar("Backup") as report:
         manifest = back_up(store, target, models_dir=settings.resolved_models_dir, progress=report)
-    _say(output, manifest, f"written: {target}")
+    _say_copied(output, manifest, f"written: {target}")
 
 
 def restore(
@@ -114,10 +188,10 @@ def restore(
     output, settings = Output(json_file), writable(settings_of(data_dir=data_dir))
     with opened_store(settings, alone=True) as store, progress_bar("Restore") as report:
         manifest = put_back(source, store, settings.data_dir, models_dir=settings.resolved_models_dir, progress=report)
-    _say(output, manifest, f"restored into {settings.data_dir}")
+    _say_copied(output, manifest, f"restored into {settings.data_dir}")
 
 
-def _say(output: Output, manifest: dict[str, Any], words: str) -> None:
+def _say_copied(output: Output, manifest: dict[str, Any], words: str) -> None:
     rows, files = manifest["rows"], manifest["files"].values()
     kept = ", ".join(f"{count} {name}" for name, count in rows.items() if count)
     output.say(f"{kept or 'nothing was kept'}; {len(files)} files, {sum(size for size, _ in files) / 1e6:.1f} MB")

@@ -6,23 +6,24 @@ import os
 import platform
 import shutil
 import sys
+from collections import defaultdict
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, requires, version
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from joulemap.service.commands.console import JsonFile, Output
-from joulemap.service.commands.data_folder import DataDir, settings_of
+from joulemap.service.commands.console import JsonFile, Output, extra_of
+from joulemap.service.commands.data_directory import DataDir, settings_of
 
 if TYPE_CHECKING:
-    from joulemap.service.settings import Settings
+    from joulemap.service.hosting.settings import Settings
 
 GOOD, MISSING, WRONG = "good", "missing", "wrong"
 _STYLES = {GOOD: "green", MISSING: "yellow", WRONG: "bold red"}
 _FOR = {
+    "server": "joulemap serve and demo, workers, the data directory",
+    "train": "joulemap train and distill, networks of other kinds than the shipped one",
     "tours": "joulemap tour",
-    "parquet": "runs in Parquet",
     "geo": "routes as GeoDataFrame",
     "objects": "JOULEMAP_STORE, an object store",
     "logs": "ROS bags, MCAP and other logs",
@@ -31,7 +32,6 @@ _FOR = {
 }
 """What an optional part of the installation is for."""
 
-_OF_DEVELOPERS = ("dev", "docs")
 
 Finding = dict[str, str]
 
@@ -49,7 +49,9 @@ def doctor(data_dir: DataDir = None, json_file: JsonFile = None) -> None:
         try:
             found += looks(data_dir)
         except Exception as error:  # a doctor names whatever is broken, and goes on
-            found.append(_finding(name, WRONG, f"{type(error).__name__}: {str(error)[:300]}"))
+            extra = extra_of(error)
+            words = f"{type(error).__name__}: {str(error)[:300]}" if extra is None else f"without the extra {extra}"
+            found.append(_finding(name, WRONG if extra is None else MISSING, words))
     for one in found:
         advice = f" -> {one['advice']}" if one["advice"] else ""
         output.say(f"{one['name']:<18} {one['words']}{advice}", head=f"{one['state']:<7}", style=_STYLES[one["state"]])
@@ -64,60 +66,51 @@ def _finding(name: str, state: str, words: str, advice: str = "") -> Finding:
 
 
 def _versions(_: Any) -> list[Finding]:
+    from joulemap import __version__
+
     machine = f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores"
     return [
-        _finding("joulemap", GOOD, version("joulemap")),
+        _finding("joulemap", GOOD, __version__),
         _finding("python", GOOD, f"{platform.python_version()}, {sys.executable}"),
         _finding("machine", GOOD, machine),
     ]
 
 
-def _requirements() -> list[tuple[str, str | None]]:
-    """(requirement, extra or None) of everything that the distribution names."""
+def _needed() -> dict[str | None, list[tuple[str, str]]]:
+    """State and words of every package that the distribution names, by the extra that brings it."""
+    from importlib.metadata import PackageNotFoundError, requires, version  # loads slowly
+
     from packaging.requirements import Requirement
 
-    found: list[tuple[str, str | None]] = []
-    extras = sorted({*_FOR, *_OF_DEVELOPERS})
-    for line in requires("joulemap") or []:
-        need = Requirement(line)
-        extra = next((e for e in extras if need.marker is not None and need.marker.evaluate({"extra": e})), None)
-        if need.marker is None or need.marker.evaluate({"extra": ""}):
-            extra = None
-        elif extra is None:  # for another system
+    found: dict[str | None, list[tuple[str, str]]] = defaultdict(list)
+    for need in map(Requirement, requires("joulemap") or ()):
+        usual = need.marker is None or need.marker.evaluate({"extra": ""})
+        extras = [] if usual or need.marker is None else [e for e in _FOR if need.marker.evaluate({"extra": e})]
+        if not usual and not extras:  # for another system, or for developers
             continue
-        found.append((f"{need.name}{need.specifier}", extra))
+        try:
+            there = version(need.name)
+        except PackageNotFoundError:
+            state, words = MISSING, f"{need.name} is not installed"
+        else:
+            fits = need.specifier.contains(there, prereleases=True)
+            wanted = "" if fits else f" is installed, {need.specifier} is needed"
+            state, words = GOOD if fits else WRONG, f"{need.name} {there}{wanted}"
+        found[None if usual else extras[0]].append((state, words))
     return found
 
 
-def _check_one(requirement: str) -> tuple[str, str]:
-    """State and words of a requirement."""
-    from packaging.requirements import Requirement
-
-    need = Requirement(requirement)
-    try:
-        there = version(need.name)
-    except PackageNotFoundError:
-        return MISSING, f"{need.name} is not installed"
-    if not need.specifier.contains(there, prereleases=True):
-        return WRONG, f"{need.name} {there} is installed, {need.specifier} is needed"
-    return GOOD, f"{need.name} {there}"
-
-
-def _core(_: Any) -> list[Finding]:
-    states = [_check_one(line) for line, extra in _requirements() if extra is None]
-    bad = [words for state, words in states if state != GOOD]
+def _packages(_: Any) -> list[Finding]:
+    """What is needed in any case, then each extra."""
+    needed = _needed()
+    bad = [words for state, words in needed[None] if state != GOOD]
     if bad:
-        return [_finding("requirements", WRONG, "; ".join(bad), "pip install --upgrade joulemap")]
-    return [_finding("requirements", GOOD, f"{len(states)} packages, all of them as wanted")]
-
-
-def _extras(_: Any) -> list[Finding]:
-    found = []
+        found = [_finding("requirements", WRONG, "; ".join(bad), "pip install --upgrade joulemap")]
+    else:
+        found = [_finding("requirements", GOOD, f"{len(needed[None])} packages, all of them as wanted")]
     for extra, purpose in _FOR.items():
-        states = [_check_one(line) for line, other in _requirements() if other == extra]
-        if not states:  # the metadata of an older installation
-            states = [(MISSING, "this installation does not know it")]
-        worst = WRONG if any(s == WRONG for s, _ in states) else MISSING if any(s != GOOD for s, _ in states) else GOOD
+        states = needed[extra] or [(MISSING, "this installation does not know it")]  # the metadata of an older one
+        worst = max((state for state, _ in states), key=[GOOD, MISSING, WRONG].index)
         words = "; ".join(words for state, words in states if worst == GOOD or state != GOOD)
         advice = "" if worst == GOOD else f"pip install 'joulemap[{extra}]'"
         found.append(_finding(f"extra {extra}", worst, f"{purpose}: {words}", advice))
@@ -193,7 +186,7 @@ def _plain_url(url: str) -> str:
 
 
 def _environment(_: Any) -> list[Finding]:
-    from joulemap.service.settings import Settings
+    from joulemap.service.hosting.settings import Settings
 
     given = sorted(name for name in os.environ if name.startswith("JOULEMAP_"))
     known = {f"JOULEMAP_{name.upper()}" for name in Settings.model_fields} | {"JOULEMAP_KEY", "JOULEMAP_REAL_DATA"}
@@ -205,8 +198,7 @@ def _environment(_: Any) -> list[Finding]:
 
 _CHECKS: dict[str, Callable[[Any], list[Finding]]] = {
     "versions": _versions,
-    "requirements": _core,
-    "extras": _extras,
+    "requirements": _packages,
     "geodata": _formats,
     "model": _model,
     "gpu": _gpu,

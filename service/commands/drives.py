@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,9 +18,7 @@ from joulemap.service.commands.options import (
     ReadingWithLayers,
     RobotFile,
     Sites,
-    find_runs,
     reading_words,
-    robot_of,
 )
 
 if TYPE_CHECKING:
@@ -74,28 +72,37 @@ class Drives:
     @property
     def named(self) -> bool:
         """Whether anything is named."""
-        return bool(self.heightmap or self.runs or self.site or self.campaign)
+        return self._ways > 0
+
+    @property
+    def _ways(self) -> int:
+        """In how many ways runs are named."""
+        return sum((self.heightmap is not None or bool(self.runs), bool(self.site), self.campaign is not None))
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What is named, as the functions of the library take it."""
+        from joulemap.service.library.heightmaps import read_heightmap
+        from joulemap.service.library.sites import sites_of_options
+
+        if self.heightmap is not None and not self.runs:
+            raise typer.BadParameter("--heightmap and --runs go together")
+        named = sites_of_options(self.site or ())
+        return {
+            "ground": None if self.heightmap is None else read_heightmap(self.heightmap, **self.reading),
+            "runs": self.runs or None,
+            "sites": [(read_heightmap(ground, **self.reading), files) for ground, files in named] or None,
+            "campaign": self.campaign,
+            "robot": self.robot,
+        }
 
     def sites(self) -> list[Site]:
         """The sites that are named: at least one."""
-        from joulemap.model.terrain.readers import read_heightmap
-        from joulemap.service.library.sites import sites_given, sites_of_options
+        from joulemap.service.library.sites import sites_given
 
-        ways = [self.heightmap is not None or bool(self.runs), bool(self.site), self.campaign is not None]
-        if sum(ways) != 1:
+        if self._ways != 1:
             raise typer.BadParameter("give --heightmap and --runs, or --site, or --campaign")
-        if self.campaign is not None:
-            return sites_given(campaign=self.campaign, robot=self.robot)
-        if self.site:
-            named = sites_of_options(self.site)
-        elif not self.runs:
-            raise typer.BadParameter("--heightmap and --runs go together")
-        elif self.heightmap is None:  # drives without positions have a ground of their own
-            return sites_given(runs=self.runs, robot=self.robot)
-        else:
-            named = [(self.heightmap, self.runs)]
-        read = [(read_heightmap(ground, **self.reading), files) for ground, files in named]
-        return sites_given(sites=read, robot=self.robot)
+        return sites_given(**self.given)
 
 
 @dataclass(frozen=True)
@@ -109,15 +116,14 @@ class ComparedDrives(Drives):
     currents: SumOfCurrents = "auto"
 
     def __post_init__(self) -> None:
-        ways = (self.heightmap is not None, bool(self.site), self.campaign is not None)
-        if sum(ways) > 1:
-            raise typer.BadParameter("give one of --heightmap, --site and --campaign")
-        if not any(ways) and not self.runs:
+        if self._ways > 1:
+            raise typer.BadParameter("give one of --runs (with --heightmap or without), --site and --campaign")
+        if not self._ways:
             raise typer.BadParameter(
                 "give --runs, and the map that they were driven on with --heightmap; or --site, or --campaign. Runs "
                 "with a speed or a distance and no positions need no map"
             )
-        if self.odometry is not None and any(ways):
+        if self.odometry is not None and (self.heightmap is not None or not self.runs):
             raise typer.BadParameter("--odometry is for runs without positions, which lie on no map: give --runs alone")
         if self.terrain_from_name and self.odometry is None:
             raise typer.BadParameter("--terrain-from-name goes with --odometry")
@@ -128,22 +134,12 @@ class ComparedDrives(Drives):
 
     def read(self, test_runs: list[str] | None = None) -> CalibrationRuns:
         """The runs, on their maps or on the ground that their logs describe."""
-        from joulemap.model.runs.calibration_runs import read_calibration_runs
         from joulemap.model.runs.odometry import Odometry
-        from joulemap.model.runs.sites import with_test_files
-        from joulemap.model.runs.without_map import sites_without_map
+        from joulemap.service.library.sites import read_compared
 
-        baseline, test = find_runs(self.baseline_runs or []), find_runs(test_runs or [])
-        if self.heightmap is None and not self.site and self.campaign is None:
-            how = None if self.odometry is None else Odometry(self.odometry, self.terrain_from_name)
-            files, robot = find_runs(self.runs or []), robot_of(self.robot)
-            sites = sites_without_map(files, robot, baseline_files=baseline, test_files=test, odometry=how)
-        else:
-            sites = self.sites()
-            if baseline:
-                sites = [replace(sites[0], baseline_files=tuple(baseline))]
-            sites = with_test_files(sites, test)
-        return read_calibration_runs(sites, currents=self.currents)
+        how = None if self.odometry is None else Odometry(self.odometry, self.terrain_from_name)
+        more: dict[str, Any] = {"baseline_runs": self.baseline_runs, "test_runs": test_runs}
+        return read_compared(self.given, **more, odometry=how, currents=self.currents)
 
     def words(self) -> list[str]:
         """The options again, as they are typed."""

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from joulemap.service.driving.ahead import Metres
 
 LEFT_M = 50.0
-"""Setting: a robot that is further beside its route for ten seconds has left it [m]; a wild fix is shorter."""
+"""Setting: a robot that is further beside its route for ten seconds has left it [m]: ten times the error of a usual fix
+(`ahead.BACK_M`). A wild fix is shorter."""
 _SAME_M = 1e-6  # rounding of a place that is projected onto the end
 
 
@@ -40,13 +41,16 @@ def follow(
     every: Annotated[
         float, typer.Option("--every", min=1.0, metavar="M", help="Distance between two forecasts [m].")
     ] = 10.0,
+    better: Annotated[
+        bool, typer.Option("--better", help="At every forecast look for another way that has become cheaper.")
+    ] = False,
     json_file: JsonFile = None,
 ) -> None:
     """**Follow a drive**: what its log says so far corrects the forecast of the rest of its route.
 
     Every line says what the rest is expected to take, why, and whether the battery lasts; changes raise an alarm. It
     begins where the log comes within 3 m of the route, and ends at the end of the route, or where the robot is more
-    than 50 m beside it for 10 s.
+    than 50 m beside it for 10 s, or where the log has a gap of more than an hour.
 
     Examples:
 
@@ -58,8 +62,10 @@ def follow(
 
     from joulemap.model.errors import RunsError
     from joulemap.model.runs.reader import read_run
+    from joulemap.planner.words import energy_words
     from joulemap.service.commands.path_files import read_path
-    from joulemap.service.driving.tracking import GAP_S
+    from joulemap.service.driving.ahead import LENGTH_M
+    from joulemap.service.driving.tracking import GAP_S, LONGEST_GAP_S
     from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.questions.parts import battery_of
 
@@ -78,7 +84,13 @@ def follow(
     said: list[dict[str, object]] = []
     begin, shown_m, alarms, followed, on_route_s = time.monotonic(), -every, 0, 0, moments[0][0]
     ended = "the end of the log"
+    last_s = moments[0][0]
     for t, x, y, watts in moments:
+        if t - last_s > LONGEST_GAP_S:
+            ended = f"a gap of {(t - last_s) / 3600.0:.1f} h in the log, of which nobody knows what was taken"
+            ended += f"; {len(moments) - followed} later samples of the log are not used"
+            break
+        last_s = t
         if speed is not None:
             time.sleep(max(0.0, (t - moments[0][0]) / speed - (time.monotonic() - begin)))
         drive.update(t, (x, y), power_w=watts)
@@ -86,8 +98,13 @@ def follow(
         if state.at_m >= shown_m + every or len(state.alarms) > alarms:
             shown_m, alarms = state.at_m, len(state.alarms)
             now = drive.forecast()
-            output.say(now.text, head=f"{now.at_m:.0f} m", style="bold red" if now.verdict == "no" else "bold")
+            output.say(now.text, head=f"at {now.at_m:.0f} m:", style="bold red" if now.verdict == "no" else "bold")
             said.append({"time_s": t, **now.as_dict()})
+            other = drive.better_route() if better and now.left_m >= LENGTH_M.low else None
+            if other is not None:
+                saved = energy_words(other.saving_j)
+                output.say(f"another way of {other.route.length_m:.0f} m saves {saved} of the rest", head="better")
+                said[-1]["better"] = other.as_dict()
         on_route_s = t if state.off_m <= LEFT_M else on_route_s
         if state.at_m >= drive.tracking.metres.length_m - _SAME_M:
             ended = "arrival at the end of the route"

@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from joulemap.model.terrain.formats import formats_in_words
 from joulemap.service.commands.console import JsonFile, Output, progress_bar, write_file
 from joulemap.service.commands.options import (
+    HeightmapArgument,
     Overwrite,
-    Reading,
+    ReadingWithLayers,
     RobotFile,
     find_runs,
+    png,
     refuse_to_replace,
     robot_of,
-    there,
+    stem_of,
 )
 from joulemap.service.words import runs_words
 
@@ -28,13 +29,18 @@ CAMPAIGN_FILE = "campaign.toml"
 
 
 def info(
-    heightmap: Annotated[Path, typer.Argument(metavar="HEIGHTMAP", callback=there, help=f"{formats_in_words()}.")],
+    heightmap: HeightmapArgument,
     robot: RobotFile = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", callback=png, help="Draw the ground with its layers (PNG).")
+    ] = None,
     json_file: JsonFile = None,
     *,
-    reading: Reading,
+    reading: ReadingWithLayers,
 ) -> None:
     """Say **what a heightmap holds**: cells, place, heights, holes, the noise of its survey, and what it can show.
+
+    With layers it also says which share of it is of each kind of ground.
 
     Whether slopes, bumps and kerbs can be seen depends on cells, noise and the robot's wheels.
 
@@ -43,6 +49,8 @@ def info(
     `joulemap info dem.tif --robot robot.toml`
 
     `joulemap info heights.png --resolution 0.5 --scale 0.01`
+
+    `joulemap info dem.tif --layer kinds=land.tif --legend land.toml --picture land.png`
     """
     from dataclasses import asdict
 
@@ -50,12 +58,19 @@ def info(
     from joulemap.model.terrain.readers import open_ground
     from joulemap.model.terrain.windows import overview
     from joulemap.planner.lattice.visible import visible_features
+    from joulemap.service.storage.stats import frame_values
 
     output = Output(json_file)
     rover, ground = robot_of(robot), open_ground(heightmap, **reading)
     frame, seen = ground.frame, visible_features(ground, rover)
     low, high = overview(ground).height_range
-    warnings = heightmap_warnings(ground)
+    warnings = [*heightmap_warnings(ground), *ground.layers.warnings(frame)]
+    kinds = ground.layers.kind_shares(frame)
+    if picture is not None:
+        from joulemap.service.render.pictures import layers_picture
+
+        write_file(picture, layers_picture(ground))
+        output.say(f"Drawn: {picture}")
     output.say(ground.source, head="Heightmap")
     output.table(
         {
@@ -70,6 +85,7 @@ def info(
                 else "estimated from what differs from cell to cell. Noise that is alike over some cells, as of a "
                 "drone, looks like ground: give --noise and --noise-length"
             ),
+            **({"kinds": ", ".join(f"{name} {share:.1%}" for name, share in kinds.items())} if kinds else {}),
             **dict(zip(("slopes", "bumps", "steps"), seen.in_words(rover), strict=True)),
         }
     )
@@ -77,14 +93,11 @@ def info(
     output.document(
         {
             "source": ground.source,
-            "rows": frame.rows,
-            "cols": frame.cols,
-            "resolution_m": frame.resolution_m,
-            "bounds": list(frame.bounds),
-            "crs": frame.crs,
+            **frame_values(frame),
             "heights_m": [low, high],
             "known_share": ground.known_share,
             **asdict(seen),
+            **({"layers": ground.layers.as_list(), "kinds": kinds} if ground.layers else {}),
             "notes": list(ground.notes),
             "warnings": warnings,
         }
@@ -112,19 +125,8 @@ def heightmap(
             "`train --campaign`.",
         ),
     ] = False,
-    resolution: Annotated[float, typer.Option(min=0.01, metavar="M", help="Side of a cell [m].")] = 0.1,
-    smoothing: Annotated[
-        float, typer.Option(min=0.01, metavar="M", help="Waves shorter than this lose more than half their height [m].")
-    ] = 0.5,
-    max_gap: Annotated[
-        float,
-        typer.Option(min=0.01, metavar="M", help="Ground farther than this from a driven position is unknown [m]."),
-    ] = 2.0,
-    antenna_height: Annotated[float, typer.Option(metavar="M", help="Height of `z` above the ground [m].")] = 0.0,
-    crs: Annotated[
-        str | None,
-        typer.Option(metavar="CRS", help="Coordinate system in metres, like EPSG:32630; `lat` and `lon` need it."),
-    ] = None,
+    *,
+    wanted: Annotated[dict[str, Any], "joulemap.service.questions.surface:SurfaceOptions"],
     overwrite: Overwrite = False,
     json_file: JsonFile = None,
 ) -> None:
@@ -146,20 +148,13 @@ def heightmap(
     output = Output(json_file)
     refuse_to_replace(out, overwrite=overwrite, mark=CAMPAIGN_FILE if each else "")
     files = find_runs(from_runs)
-    runs = read_runs(files, crs=crs).runs
+    runs = read_runs(files, crs=wanted["crs"]).runs
     groups = [[run] for run in runs] if each else [list(runs)]
-    places = [out / f"{_stem(run.name)}.tif" for run in runs] if each else [out]
+    places = [out / f"{stem_of(run.name)}.tif" for run in runs] if each else [out]
     maps: list[dict[str, Any]] = []
     with progress_bar("Heightmap") as report:
         for number, (group, place) in enumerate(zip(groups, places, strict=True), start=1):
-            found = driven_surface(
-                group,
-                resolution_m=resolution,
-                smoothing_m=smoothing,
-                max_gap_m=max_gap,
-                antenna_height_m=antenna_height,
-                crs=crs,
-            )
+            found = driven_surface(group, **wanted)
             place.parent.mkdir(parents=True, exist_ok=True)
             write_geotiff(place, found.heightmap)
             maps.append(_document(place, found, [run.name for run in group]))
@@ -172,7 +167,7 @@ def heightmap(
         output.say(f"{made['out']} of {runs_words(len(made['runs']))}", head="Heightmap")
         output.table(
             {
-                "cells": f"{rows} x {cols} of {resolution:g} m, {100 * made['known_share']:.0f} % known",
+                "cells": f"{rows} x {cols} of {wanted['resolution_m']:g} m, {100 * made['known_share']:.0f} % known",
                 "heights": f"{low:.2f} .. {high:.2f} m",
                 "fit": f"{100 * made['fit_m']:.1f} cm root mean square over {made['points']:,} positions",
             }
@@ -184,16 +179,14 @@ def heightmap(
 
 
 def _document(place: Path, found: DrivenSurface, names: list[str]) -> dict[str, Any]:
+    from joulemap.service.storage.stats import frame_values
+
     ground = found.heightmap
     known = ground.heights[ground.heights == ground.heights]
     return {
         "out": str(place),
         "runs": names,
-        "rows": ground.frame.rows,
-        "cols": ground.frame.cols,
-        "resolution_m": ground.resolution_m,
-        "bounds": list(ground.frame.bounds),
-        "crs": ground.frame.crs,
+        **frame_values(ground.frame),
         "heights_m": [float(known.min()), float(known.max())],
         "known_share": ground.known_share,
         "points": found.points,
@@ -201,11 +194,6 @@ def _document(place: Path, found: DrivenSurface, names: list[str]) -> dict[str, 
         "height_differences_m": found.height_differences_m,
         "warnings": found.warnings,
     }
-
-
-def _stem(name: str) -> str:
-    """A run's name as a file name: `monday/run_01.csv` is `monday_run_01`."""
-    return "_".join(Path(name).with_suffix("").parts)
 
 
 def _campaign(maps: list[Path], files: list[Path]) -> str:

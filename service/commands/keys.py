@@ -8,7 +8,7 @@ import typer
 
 from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.console import JsonFile, Output
-from joulemap.service.commands.data_folder import DataDir, opened_store, settings_of, writable
+from joulemap.service.commands.data_directory import DataDir, opened_store, settings_of, writable
 
 keys = typer.Typer(
     name="keys",
@@ -77,19 +77,10 @@ def list_keys(data_dir: DataDir = None, json_file: JsonFile = None) -> None:
         with store.sessions() as session:
             kept = {name: kept_bytes(session, name) for name in {row.name for row in rows}}
     for row in rows:
-        found.append(
-            {
-                "prefix": row.prefix,
-                "name": row.name,
-                "operator": row.operator,
-                "created_at": row.created_at.isoformat(timespec="seconds"),
-                "revoked_at": None if row.revoked_at is None else row.revoked_at.isoformat(timespec="seconds"),
-                "kept_bytes": kept[row.name],
-                "jobs": row.jobs,
-                "gb": row.gb,
-                "requests_per_s": row.requests_per_s,
-            }
-        )
+        at = {"created_at": row.created_at, "revoked_at": row.revoked_at}
+        times = {name: moment and moment.isoformat(timespec="seconds") for name, moment in at.items()}
+        known = {name: getattr(row, name) for name in ("prefix", "name", "operator", *_LIMITS)}
+        found.append(known | times | {"kept_bytes": kept[row.name]})
     if found:
         output.table({key["prefix"]: _words(key) for key in found})
     else:

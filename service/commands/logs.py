@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from joulemap.model.runs.formats import formats_in_words
-from joulemap.service.commands.console import JsonFile, Output, progress_bar
+from joulemap.service.commands.console import JsonFile, Output, progress_bar, write_file
 from joulemap.service.commands.drives import OdometryTrack
-from joulemap.service.commands.options import Overwrite, there
+from joulemap.service.commands.options import Overwrite, stem_of, there
 from joulemap.service.words import duration_words, runs_words
 
 
@@ -75,14 +75,16 @@ def import_logs(
     from joulemap.service.library.run_files import find_run_files
 
     output = Output(json_file)
+    if wrong := next((entry for entry in entries or () if "=" not in entry), None):
+        raise typer.BadParameter(f"{wrong!r} is no COLUMN=SOURCE; a file of them is for --mapping", param_hint="--map")
     wanted = (read_mapping(mapping) if mapping is not None else {}) | read_mapping(entries)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         files = find_run_files(logs, trial=False)
     again = [str(each.message) for each in caught]
-    stems = [_stem(name) for name in distinct_names(files)]
+    stems = [stem_of(name) for name in distinct_names(files)]
     if len(set(stems)) < len(stems):
-        stems = [_stem(name).replace(".", "_") for name in distinct_names(files)]
+        stems = [stem_of(name).replace(".", "_") for name in distinct_names(files)]
         stems = [f"{stem}_{file.suffix[1:]}" for stem, file in zip(stems, files, strict=True)]
     if out is not None and out.is_file():
         raise ConflictError(f"{out} is a file: give a folder for the CSV files", path=str(out))
@@ -142,19 +144,14 @@ def _say(output: Output, one: dict[str, Any]) -> None:
 
 
 def _draw(output: Output, picture: Path, stems: list[str], found: list[dict[str, Any]]) -> None:
-    from joulemap.service.run_picture import run_picture
+    from joulemap.service.render.run_picture import run_picture
 
     if len(found) > 1:
         picture.mkdir(parents=True, exist_ok=True)
     for stem, one in zip(stems, found, strict=True):
         place = picture / f"{stem}.png" if picture.is_dir() else picture
-        place.write_bytes(run_picture(one["name"], one.pop("track"), charge=one["target"] != "energy_j"))
+        write_file(place, run_picture(one["name"], one.pop("track"), charge=one["target"] != "energy_j"))
         output.say(f"Drawn: {place}")
-
-
-def _stem(name: str) -> str:
-    """A log's name as a file name: `monday/run_01.mcap` is `monday_run_01`."""
-    return "_".join(Path(name).with_suffix("").parts)
 
 
 import_logs.__doc__ = (import_logs.__doc__ or "") + f"\n    Formats: {formats_in_words()}.\n"

@@ -1,4 +1,4 @@
-"""`joulemap train` and `evaluate`: models made from measured runs, and how well they predict."""
+"""`joulemap train`, `distill` and `evaluate`: models made from measured runs, and how well they predict."""
 
 from __future__ import annotations
 
@@ -12,7 +12,19 @@ from joulemap.service.commands.asked import Wanted, flags
 from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, progress_bar
 from joulemap.service.commands.drives import Drives
-from joulemap.service.commands.options import ModelName, Overwrite, refuse_to_replace, robot_words
+from joulemap.service.commands.options import (
+    HeightmapFile,
+    ModelName,
+    Overwrite,
+    Reading,
+    RobotFile,
+    Runs,
+    find_runs,
+    refuse_to_replace,
+    robot_of,
+    robot_words,
+    there,
+)
 from joulemap.service.words import runs_words, turning_words
 
 
@@ -26,8 +38,9 @@ def train(
 ) -> None:
     """Train a **model** on measured runs, for your robot on your ground.
 
-    Turning, time and speeding up are fitted together with the network, from every driven metre. Without runs the
-    shipped network is trained again, on simulated data.
+    Turning, time and speeding up are fitted together with the network, from every driven metre. Drives with a speed or
+    a distance and no positions need no heightmap: rolling and climbing are fitted, and the shape of the ground costs
+    nothing. Without runs the shipped network is trained again, on simulated data.
 
     Examples:
 
@@ -86,7 +99,7 @@ def train(
     )
     output.warn(made["warnings"])
     if not made["keeps_runs"]:
-        why = "they are too few, lack a voltage, or lie on several maps"
+        why = "they are too few, lack a voltage, or do not lie on one map"
         output.warn([f"the runs are not kept beside the model ({why}): give them to `calibrate` as --baseline-runs"])
     output.document({"out": str(out), **made})
 
@@ -163,3 +176,59 @@ def _sums(repairs: dict[str, dict[str, int]]) -> dict[str, int]:
 
 def _errors_words(found: dict[str, Any]) -> str:
     return f"mean error {found['mean_relative_error']:.1%} per 1 m segment"
+
+
+def distill(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write the model to.")],
+    teacher: Annotated[
+        Path, typer.Option(metavar="DIR", callback=there, help="Model of `joulemap train --arch resnet18`.")
+    ],
+    heightmap: HeightmapFile,
+    runs: Runs,
+    wanted: Annotated[dict[str, Any], "joulemap.service.questions.training:DistillationOptions"],
+    robot: RobotFile = None,
+    overwrite: Overwrite = False,
+    scheduler: AsOneTask = None,
+    json_file: JsonFile = None,
+    *,
+    reading: Reading,
+) -> None:
+    """Distil a slow **ResNet18 into the fast network**, which learns from its answers and from the measured segments.
+
+    The answer says how far the two differ, and how well both predict runs that neither was trained on.
+
+    Example: `joulemap distill --teacher paper --heightmap dem.tif --robot robot.toml --runs logs/*.csv --out fast`
+    """
+    from dataclasses import asdict
+
+    from joulemap.model.energy.artifact import CONFIG_FILE
+    from joulemap.model.training.distillation import distil_on_runs
+    from joulemap.service.library.heightmaps import read_heightmap
+    from joulemap.service.models import start_folder
+
+    output = Output(json_file)
+    refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
+    start = start_folder(wanted.pop("start_from"))
+    if start is None:
+        raise typer.BadParameter("--from none: a student starts from a compact model")
+    with progress_bar("Distilling") as report:
+        model = distil_on_runs(
+            read_heightmap(heightmap, **reading),
+            robot_of(robot),
+            find_runs(runs),
+            teacher=teacher,
+            start_from=start,
+            out=out,
+            progress=report,
+            **wanted,
+        )
+    student, taught = (e["mean_relative_error"] for e in (model.student_held_out, model.teacher_held_out))
+    output.say(f"{teacher} into {out}, version {model.version}", head="Distilled")
+    output.table(
+        {
+            "learned from": f"{model.answers} answers of the teacher and {model.segments} measured segments",
+            "differs by": f"{model.difference:.1%} of the energy, where no run was driven",
+            "held out": f"{', '.join(model.held_out_runs)}: student {student:.1%}, teacher {taught:.1%} per segment",
+        }
+    )
+    output.document({"out": str(out), **asdict(model)})

@@ -3,36 +3,22 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from joulemap.model.errors import ConflictError, NotFoundError
+from joulemap.model.errors import ConflictError, InputError, NotFoundError
+from joulemap.model.terrain.formats import formats_in_words
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
 
 
 def png(path: Path | None) -> Path | None:
-    """Return the file that a picture is written to.
-
-    Parameters
-    ----------
-    path : Path, optional
-        As it was typed.
-
-    Returns
-    -------
-    Path or None
-        The same.
-
-    Raises
-    ------
-    typer.BadParameter
-        If its name says that it is no PNG.
-    """
+    """Return the file that a picture is written to. Raises typer.BadParameter if its name says that it is no PNG."""
     if path is not None and path.suffix.lower() not in ("", ".png"):
         raise typer.BadParameter(f"pictures are PNG, and {path} does not end in .png")
     return path
@@ -55,23 +41,7 @@ _CALIBRATION = re.compile(r"cal-[0-9a-f]{12}")
 
 
 def known_model(name: str | None) -> str | None:
-    """Return the model that an option names.
-
-    Parameters
-    ----------
-    name : str, optional
-        Of a model that is part of the installation, or a folder.
-
-    Returns
-    -------
-    str or None
-        The same.
-
-    Raises
-    ------
-    NotFoundError
-        If there is no such model.
-    """
+    """Return the model that an option names. Raises NotFoundError if there is no such model."""
     from joulemap.model.energy.predictor import MODEL_NAMES
 
     there_already = name in (*MODEL_NAMES, "none") or _CALIBRATION.fullmatch(name or "")  # the latter at a --server
@@ -90,6 +60,7 @@ _RUNS = typer.Option(
     help="Measured runs (CSV, Parquet, MCAP, bags, flight logs): files, folders or patterns like 'logs/*.csv'.",
 )
 HeightmapFile = Annotated[Path, _HEIGHTMAP]
+HeightmapArgument = Annotated[Path, typer.Argument(metavar="HEIGHTMAP", callback=there, help=f"{formats_in_words()}.")]
 MaybeHeightmap = Annotated[Path | None, _HEIGHTMAP]
 Sites = Annotated[
     list[str] | None,
@@ -161,19 +132,7 @@ def reading_words(reading: Mapping[str, Any]) -> list[str]:
 def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
     """Refuse to replace what is there; asked before anything is computed.
 
-    Parameters
-    ----------
-    out : Path
-        Folder that is to be written.
-    overwrite : bool
-        Whether the user wants it replaced.
-    mark : str
-        File without which the folder holds nothing whole.
-
-    Raises
-    ------
-    ConflictError
-        If the folder is there.
+    Raises ConflictError if the folder is there.
     """
     if not overwrite and (out / mark).exists():
         raise ConflictError(
@@ -185,41 +144,14 @@ def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
 
 
 def robot_of(file: Path | None) -> Robot:
-    """Return the robot of a file, or the built-in one.
-
-    Parameters
-    ----------
-    file : Path, optional
-        TOML.
-
-    Returns
-    -------
-    Robot
-        As the file declares it.
-
-    Raises
-    ------
-    RobotError
-        If the file is no robot file.
-    """
+    """Return the robot of a file, or the built-in one. Raises RobotError if the file is no robot file."""
     from joulemap.model.robot import Robot
 
     return Robot.from_toml(file) if file is not None else Robot()
 
 
 def robot_words(robots: Iterable[Robot]) -> str:
-    """Return which robots a command took, so that nobody gets numbers of another one without noticing.
-
-    Parameters
-    ----------
-    robots : iterable of Robot
-        Those of its maps.
-
-    Returns
-    -------
-    str
-        Each once; the built-in one with how to give another.
-    """
+    """Return which robots a command took, so that nobody gets numbers of another one without noticing."""
     from joulemap.model.robot import Robot
 
     found = []
@@ -231,23 +163,42 @@ def robot_words(robots: Iterable[Robot]) -> str:
 
 
 def find_runs(patterns: list[str]) -> list[Path]:
-    """Return the files that patterns name, each once.
-
-    Parameters
-    ----------
-    patterns : list of str
-        Files, patterns, or folders, of which every CSV and Parquet file is meant.
-
-    Returns
-    -------
-    list of Path
-        In the order of the patterns, sorted within each.
-
-    Raises
-    ------
-    NotFoundError
-        If a pattern names no file.
-    """
+    """Return the files that patterns name, each once. Raises NotFoundError if a pattern names no file."""
     from joulemap.service.library.run_files import find_run_files
 
     return find_run_files(patterns)
+
+
+def stem_of(name: str) -> str:
+    """Return a run's name as a file name: `monday/run_01.csv` is `monday_run_01`."""
+    return "_".join(Path(name).with_suffix("").parts)
+
+
+_OF_STATE = ("charge", "reserve")
+
+BatteryFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--battery",
+        metavar="FILE",
+        callback=there,
+        help="TOML with more of the battery: health, temperature_c, capacity_curve, nominal_voltage_v, open_circuit_v, "
+        "resistance_ohm, cutoff_v, max_power_w, capacity_wh. Then its voltage under load is judged too.",
+    ),
+]
+
+
+def battery_values(file: Path | None) -> dict[str, Any]:
+    """The values of a battery file."""
+    values: dict[str, Any] = {}
+    if file is not None:
+        try:
+            values = tomllib.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise InputError(f"battery file {file}: {str(error)[:200]}", path=str(file)) from error
+        for name in _OF_STATE:
+            if name in values:
+                raise InputError(
+                    f"battery file {file} says {name}: leave it out there, and give --{name}", path=str(file), key=name
+                )
+    return values

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import PointError
 from joulemap.model.frames import GridFrame
-from joulemap.service.coordinates import from_wgs84, on_map, to_wgs84
 from joulemap.service.exports.mission import WAYPOINT
 from joulemap.service.exports.track import BESIDE
+from joulemap.service.places.coordinates import from_wgs84, on_map, to_wgs84
+from joulemap.service.places.geojson import geometries
 
 _GAP_M = 0.02  # lines of a tour touch but for what a writer rounds off, at both ends
 _EARTH = ("OGC:CRS84", "urn:ogc:def:crs:OGC:1.3:CRS84", "urn:ogc:def:crs:OGC::CRS84", "EPSG:4326")
@@ -55,27 +56,8 @@ def read_path(file: Path, frame: GridFrame) -> tuple[list[list[float]], list[str
     Several lines, as a tour has them, are driven one after another: each has to begin where the one before ends. Of the
     lines that `joulemap path` writes, the energy-optimal one is taken.
 
-    Parameters
-    ----------
-    file : Path
-        GeoJSON, GPX or KML with lines; a mission (.plan, .waypoints); the JSON of an answer with `path`; a JSON list of
-        points; or CSV, with columns x_m,y_m, or latitude and longitude, or without names x,y.
-    frame : GridFrame
-        Of the map that the path is on.
-
-    Returns
-    -------
-    points : list of list of float
-        (n, 2) x, y [m] in the CRS of the map.
-    notes : list of str
-        What the user should know.
-
-    Raises
-    ------
-    PointError
-        If the file holds no path, or its lines do not touch.
-    InputError
-        If it is in degrees and the map has no CRS.
+    Raises PointError if the file holds no path, or its lines do not touch. Raises InputError if it is in degrees and
+    the map has no CRS.
     """
     try:
         found = _lines_of(file.read_text(encoding="utf-8-sig"))
@@ -90,56 +72,20 @@ def read_path(file: Path, frame: GridFrame) -> tuple[list[list[float]], list[str
 def read_areas(file: Path | None, frame: GridFrame) -> tuple[list[list[list[float]]], list[str]]:
     """Return the areas in a GeoJSON file; their holes are not left out.
 
-    Parameters
-    ----------
-    file : Path or None
-        GeoJSON with polygons; None has no areas.
-    frame : GridFrame
-        Of the map that they are on.
-
-    Returns
-    -------
-    areas : list of list of [x, y]
-        Corners [m] in the CRS of the map.
-    notes : list of str
-        What the user should know.
-
-    Raises
-    ------
-    PointError
-        If the file holds no polygons.
-    InputError
-        If it is in degrees and the map has no CRS.
+    Raises PointError if the file holds no polygons. Raises InputError if it is in degrees and the map has no CRS.
     """
     if file is None:
         return [], []
     try:
         document = json.loads(file.read_text(encoding="utf-8-sig"))
-        found = _referenced(document, list(_outlines(document)))
+        outlines = [one["coordinates"][0] for one, _ in geometries(document) if one["type"] == "Polygon"]
+        found = _referenced(document, outlines)
         rings = [np.array([[float(v) for v in corner[:2]] for corner in ring]) for ring in found.lines]
     except _UNREADABLE as error:
         raise PointError(f"{file} holds no areas that can be read: {str(error)[:200]}", path=str(file)) from error
     if not rings or any(ring.ndim != 2 or ring.shape[1] != 2 for ring in rings):
         raise PointError(f"{file} holds no areas: GeoJSON with polygons is needed", path=str(file))
     return [_on(frame, ring, found)[:-1].tolist() for ring in rings], found.notes
-
-
-def _outlines(document: Any) -> Iterator[Any]:
-    """The outer rings of all polygons of GeoJSON."""
-    match document["type"]:
-        case "FeatureCollection":
-            for feature in document["features"]:
-                yield from _outlines(feature)
-        case "Feature":
-            yield from _outlines(document["geometry"])
-        case "GeometryCollection":
-            for geometry in document["geometries"]:
-                yield from _outlines(geometry)
-        case "Polygon":
-            yield document["coordinates"][0]
-        case "MultiPolygon":
-            for polygon in document["coordinates"]:
-                yield polygon[0]
 
 
 def _on(frame: GridFrame, line: NDArray[np.float64], found: _Found) -> NDArray[np.float64]:
@@ -209,18 +155,9 @@ def _referenced(document: Any, lines: _Lines) -> _Found:
 
 
 def _from_geojson(document: Any) -> _Lines:
-    """The lines of a document, in their order."""
-    kind = document.get("type")
-    if kind == "FeatureCollection":
-        features = [f for f in document["features"] if (f.get("properties") or {}).get("kind") not in BESIDE]
-        return [line for feature in features for line in _from_geojson(feature)]
-    if kind == "Feature":
-        return _from_geojson(document["geometry"] or {"type": "Point"})
-    if kind == "GeometryCollection":
-        return [line for geometry in document["geometries"] for line in _from_geojson(geometry)]
-    if kind == "LineString":
-        return [document["coordinates"]]
-    return list(document["coordinates"]) if kind == "MultiLineString" else []  # other places are beside the path
+    """The lines of a document, in their order; other places are beside the path."""
+    lines = ((one["coordinates"], of) for one, of in geometries(document) if one["type"] == "LineString")
+    return [line for line, of in lines if of.get("kind") not in BESIDE]
 
 
 def _from_xml(text: str) -> _Found:

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import re
 import shutil
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from joulemap.model.errors import InputError
+from joulemap.service.commands.console import Output, progress_bar, write_file
 from joulemap.service.commands.options import there
+from joulemap.service.words import capital
 
 if TYPE_CHECKING:
-    from joulemap.service.client import Client, ServedCostMap
+    from joulemap.model.frames import GridFrame
+    from joulemap.service.client import Client
+    from joulemap.service.commands.asked import Wanted
+    from joulemap.service.exports.routes import RouteFile
 
 Server = Annotated[
     str | None,
@@ -27,6 +34,85 @@ Key = Annotated[
     str | None,
     typer.Option("--key", metavar="KEY", envvar="JOULEMAP_KEY", help="Key for the service, where it wants one."),
 ]
+
+
+@dataclass(frozen=True)
+class Remote:
+    """The service that is asked in place of this process, where one is named."""
+
+    server: Server = None
+    key: Key = None
+
+    @contextmanager
+    def client(self) -> Iterator[Client]:
+        """A client of it."""
+        from joulemap.service.client import Client
+
+        assert self.server is not None
+        with Client(self.server, key=self.key) as client:
+            yield client
+
+    def answer(
+        self,
+        question: Any,
+        costmap: Path,
+        wanted: Wanted,
+        output: Output,
+        *,
+        files: Sequence[tuple[Path, RouteFile]] = (),
+        memory_gb: float | None = None,
+        ask: Callable[..., Any] | None = None,
+        also: Callable[[dict[str, Any], GridFrame], list[str]] = lambda _values, _frame: [],
+    ) -> Answered:
+        """Answer a question of `service.questions` here or by the service, and write the files of its routes.
+
+        `ask` is in place of that of the question; `also` adds values to those of the options, and says notes on them.
+        """
+        name = question.__name__.rpartition(".")[2]
+
+        def _request(frame: GridFrame) -> Any:
+            values, notes = wanted.on(frame)
+            notes += also(values, frame)
+            output.warn(dict.fromkeys(notes))
+            return wanted.request.of(**values)
+
+        if self.server is not None:
+            with self.client() as client, progress_bar(capital(name)) as report:
+                there = client.open_costmap(str(costmap))
+                for _, file in files:
+                    file.check(there.crs)
+                asked = _request(there.grid)
+                said = there.ask(name, asked, progress=report)
+                for path, file in files:
+                    write_file(path, there.file(name, asked, **file.query))
+            return Answered(said.model_dump(mode="json"), there.about.robot.name)
+        from joulemap.service.library.costmaps import open_costmap
+
+        ground = open_costmap(costmap, memory_gb=memory_gb)
+        for _, file in files:
+            file.check(ground.crs)
+        asked, ask = _request(ground.planner.lattice.frame), ask or question.ask
+        with progress_bar(capital(name)) as report:
+            reported = {"progress": report} if "progress" in inspect.signature(ask).parameters else {}
+            found = ask(ground.planner, asked, **reported)
+        for path, file in files:
+            write_file(path, file.written(question.track(found, ground.warnings)))
+        said = question.answer(found, ground.warnings)
+        return Answered(
+            said if isinstance(said, dict) else said.model_dump(mode="json"), ground.robot.name, found, ground
+        )
+
+
+@dataclass(frozen=True)
+class Answered:
+    """An answer as JSON and the robot's name; where it was found here, what was found, and on which cost map."""
+
+    values: dict[str, Any]
+    robot: str
+    found: Any = None
+    ground: Any = None
+
+
 _ID = re.compile(r"cm-[0-9a-f]{12}")
 
 
@@ -43,22 +129,6 @@ MapOrId = Annotated[
         help="A cost map made by `joulemap costmap`; with --server, the id of one.",
     ),
 ]
-
-
-@contextmanager
-def service_at(url: str, key: str | None) -> Iterator[Client]:
-    """A client of a service."""
-    from joulemap.service.client import Client
-
-    with Client(url, key=key) as client:
-        yield client
-
-
-@contextmanager
-def served(url: str, key: str | None, costmap: Path) -> Iterator[ServedCostMap]:
-    """A cost map of a service."""
-    with service_at(url, key) as client:
-        yield client.open_costmap(str(costmap))
 
 
 def refuse_local(**options: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from joulemap.service.commands.console import JsonFile, Output, parse_point, progress_bar, write_file
-from joulemap.service.commands.data_folder import opened_store, settings_of, writable
+from joulemap.service.commands.data_directory import opened_store, settings_of, writable
 from joulemap.service.commands.options import Reading, there
 
 _SWITCH_S = 0.001
@@ -36,13 +36,14 @@ def serve(
     Example: `joulemap serve --host 0.0.0.0 --port 8080 --data-dir /var/lib/joulemap`
     """
     import signal
+    import socket
     import sys
 
     import uvicorn
 
     from joulemap.service.http.app import create_app
-    from joulemap.service.http.connections import most_connections
     from joulemap.service.http.logs import log_config
+    from joulemap.service.http.slow_clients import FILES_EACH, most_connections
     from joulemap.service.storage.columns import check_pages
     from joulemap.service.storage.private import others_get_nothing
 
@@ -55,10 +56,16 @@ def serve(
     settings = settings.model_copy(update={"max_connections": most_connections(settings.max_connections)})
     app = create_app(settings)
     signal.signal(signal.SIGTERM, _end)  # uvicorn sends it once more when the service has stopped
-    uvicorn.run(
+
+    class _Server(uvicorn.Server):
+        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            app.state.service.end_events()  # which would go on until they are cancelled
+            await super().shutdown(sockets)
+
+    config = uvicorn.Config(
         app,
-        http=app.state.service.connections.protocol,
         ws="none",
+        limit_concurrency=FILES_EACH * settings.max_connections,
         host=settings.host,
         port=settings.port,
         access_log=False,  # the service writes a line of its own, with the id of the request
@@ -67,6 +74,10 @@ def serve(
         log_config=log_config(settings.log_format),
         timeout_graceful_shutdown=settings.shutdown_s,
     )
+    server = _Server(config)
+    server.run()
+    if not server.started:
+        raise typer.Exit(1)
 
 
 def _end(number: int, _frame: object) -> None:
@@ -133,7 +144,7 @@ def demo(
 
 def warmup(json_file: JsonFile = None) -> None:
     """Compile every kernel **once and keep it**, so that no request waits for the compiler (after an installation)."""
-    from joulemap.service.warm_up import warm_up
+    from joulemap.service.work.warm_up import warm_up
 
     output = Output(json_file)
     output.say("kernels are compiled once, which takes one to three minutes; later calls take seconds")

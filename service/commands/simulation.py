@@ -5,80 +5,39 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from enum import StrEnum
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from joulemap.service.commands.console import JsonFile, Output, progress_bar, write_file
-from joulemap.service.commands.options import (
-    RobotFile,
-    robot_of,
-)
+from joulemap.service.commands.options import RobotFile, robot_of
 from joulemap.service.words import runs_words
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
 
 
-class SiteName(StrEnum):
-    """The simulated sites."""
-
-    GRASS_A = "grass_a"
-    GRASS_B = "grass_b"
-    DIRT = "dirt"
-    RANDOM = "random"
-
-
-class SurveyName(StrEnum):
-    """How a simulated site is surveyed."""
-
-    SCANNER = "scanner"
-    ROBOT = "robot"
-    DRONE = "drone"
-    LIDAR = "lidar"
-    NATIONAL = "national"
-
-
-class DriveName(StrEnum):
-    """How a simulated site is driven."""
-
-    LAWNMOWER = "lawnmower"
-    WAYPOINTS = "waypoints"
-
-
-class HiddenEffect(StrEnum):
-    """Effects that may be at work in simulated runs without being declared."""
-
-    TURNING = "turning"
-    TURNING_UPHILL = "turning_uphill"
-    PAYLOAD = "payload"
-    SPEED = "speed"
-    ACCELERATION = "acceleration"
-    BRAKING = "braking"
-    WIND = "wind"
-    TEMPERATURE = "temperature"
-    MOTOR_TEMPERATURE = "motor_temperature"
-    HOTEL_LOAD = "hotel_load"
-    BATTERY = "battery"
-    SENSOR_GAIN = "sensor_gain"
-    DRIFT = "drift"
-    TERRAIN_CLASS = "terrain_class"
-    LOCAL_FRICTION = "local_friction"
-    CROSS_SLOPE = "cross_slope"
-    HEADING = "heading"
+def _one_of(registry: str, *more: str) -> Any:
+    """The type of a name in a registry of the simulated field, which is loaded when this command is made."""
+    module, _, name = registry.partition(":")
+    names = (*getattr(import_module(f"joulemap.model.field.{module}"), name), *more)
+    return StrEnum(name, {each: each for each in names})
 
 
 def simulate(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for dem.tif, robot.toml and run_NN.csv.")],
     site: Annotated[
-        SiteName, typer.Option(help="Two grass sites, a dirt site, or one drawn by the seed.")
-    ] = SiteName.GRASS_A,
+        _one_of("sites:SITES", "random"),  # type: ignore[valid-type]
+        typer.Option(help="Two grass sites, a dirt site, or one drawn by the seed."),
+    ] = "grass_a",
     drive: Annotated[
-        DriveName, typer.Option(help="Parallel lines, or from one random point to the next.")
-    ] = DriveName.LAWNMOWER,
+        Literal["lawnmower", "waypoints"],
+        typer.Option(help="Parallel lines, or from one random point to the next."),
+    ] = "lawnmower",
     survey: Annotated[
-        SurveyName | None,
+        _one_of("sites:SURVEYS") | None,  # type: ignore[valid-type]
         typer.Option(
             help="Who surveyed dem.tif, of the same ground: a scanner on a tripod (noise of 4 mm, cells of 0.1 m), the "
             "robot's own lidar (20 mm, 0.1 m), a drone's camera (30 mm, alike over 0.2 m, 0.1 m), lidar from an "
@@ -89,11 +48,11 @@ def simulate(
     runs: Annotated[int, typer.Option(min=1, max=99, metavar="N", help="Number of runs.")] = 4,
     robot: RobotFile = None,
     hidden: Annotated[
-        list[HiddenEffect] | None,
+        list[_one_of("hidden_draws:EFFECT_NAMES")] | None,  # type: ignore[valid-type]
         typer.Option(
             metavar="EFFECT...",
-            help=f"Effects at work in the runs that no file declares: {', '.join(HiddenEffect)}. Their strength is "
-            "drawn by the seed.",
+            help="Effects at work in the runs that no file declares: "
+            f"{', '.join(_one_of('hidden_draws:EFFECT_NAMES'))}. Their strength is drawn by the seed.",
         ),
     ] = None,
     day: Annotated[
@@ -139,11 +98,9 @@ def simulate(
 
     output = Output(json_file)
     rng = np.random.default_rng([seed, 1])
-    place = random_site(np.random.default_rng(seed)) if site is SiteName.RANDOM else named_site(site.value, seed=seed)
+    place = random_site(np.random.default_rng(seed)) if site == "random" else named_site(site, seed=seed)
     if survey is not None:
-        place = replace(
-            place, survey=degrade(place.terrain, SURVEYS[survey.value], rng=np.random.default_rng([seed, 3]))
-        )
+        place = replace(place, survey=degrade(place.terrain, SURVEYS[survey], rng=np.random.default_rng([seed, 3])))
     declared = robot_of(robot)
     truth = FieldRobot.drawn(declared, rng)
     if robot is None:
@@ -160,7 +117,7 @@ def simulate(
 
     def driven() -> Iterator[Drive]:
         for number in range(1, runs + 1):
-            if drive is DriveName.LAWNMOWER:  # each run its own strip of the site, as a day in the field is shared out
+            if drive == "lawnmower":  # each run its own strip of the site, as a day in the field is shared out
                 strip = west + (east - west) * (number - 1) / runs, south, west + (east - west) * number / runs, north
                 points = lawnmower(strip, spacing_m=2.0)
             else:
@@ -180,7 +137,7 @@ def simulate(
             files.append(str(log.write_csv(out / f"run_{number:02d}.csv")))
             report(number / runs)
     metres = sum(one.length_m for one in drives)
-    output.say(f"{runs_words(runs)} over {site.value}, {metres:.0f} m in all, written to {out}", head="Simulated")
+    output.say(f"{runs_words(runs)} over {site}, {metres:.0f} m in all, written to {out}", head="Simulated")
     output.document(
         {
             "heightmap": str(out / "dem.tif"),
@@ -188,9 +145,9 @@ def simulate(
             "runs": files,
             "length_m": metres,
             "seed": seed,
-            "survey": None if survey is None else survey.value,
+            "survey": survey,
             "day": today,
-            "hidden": [str(name) for name in hidden or ()],
+            "hidden": list(map(str, hidden or ())),
         }
     )
 

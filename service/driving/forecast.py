@@ -10,11 +10,11 @@ import numpy as np
 from scipy.special import stdtrit
 
 from joulemap.model.battery import Battery
-from joulemap.model.loop.drive_filter import CAUSES, Ahead
+from joulemap.model.loop.drive_filter import CAUSES, Ahead, DrivePrior
 from joulemap.planner.verdict.budget import judge
 from joulemap.planner.words import probability_words, range_words
-from joulemap.service.driving.ahead import Metres
-from joulemap.service.driving.tracking import OFF_ROUTE_M, Alarm, Tracking
+from joulemap.service.driving.ahead import LENGTH_M, Metres
+from joulemap.service.driving.tracking import OFF_ROUTE_M, Alarm, State, Tracking
 
 _SURE = 0.95  # of either end of an interval
 _SUBJECT = {
@@ -98,7 +98,8 @@ class Forecast:
 
     def as_dict(self) -> dict[str, Any]:
         """Return it JSON-able."""
-        return asdict(self) | {"causes": [asdict(cause) for cause in self.causes], "alarms": self.alarm_dicts()}
+        causes = {"more": asdict(self.more), "causes": [asdict(cause) for cause in self.causes]}
+        return {**vars(self), **causes, "alarms": self.alarm_dicts()}
 
     def alarm_dicts(self) -> list[dict[str, Any]]:
         """Return the alarms, JSON-able, with their sentence."""
@@ -109,10 +110,7 @@ def forecast(tracking: Tracking, ahead: Ahead, battery: Battery) -> Forecast:
     """Return what is expected of the rest of a drive. `battery`: at the start of the drive."""
     metres, state, known = tracking.metres, tracking.state, tracking.known()
     mean, scale = ahead.energy(place_of(metres, state.at_m), known)
-    step = stdtrit(known.prior.freedom or math.inf, _SURE) if known.prior.freedom else 1.6449
-    spent = state.used_j if math.isnan(state.charge) else state.used_j - state.used_at_charge_j
-    begun = battery.charge if math.isnan(state.charge) else state.charge
-    charge = min(max(begun - spent / battery.full_j, 0.0), 1.0)
+    step, charge = half_width(known.prior), charge_now(state, battery)
     judged = judge(mean, replace(battery, charge=charge), std_j=scale, freedom=known.prior.freedom)
     rest = metres.up_to(metres.length_m) - metres.up_to(state.at_m)
     sizes = np.sqrt(np.diag(known.covariance))
@@ -145,6 +143,18 @@ def forecast(tracking: Tracking, ahead: Ahead, battery: Battery) -> Forecast:
     return replace(found, text=_words(found))
 
 
+def half_width(prior: DrivePrior) -> float:
+    """Return half of the 90 % interval of a forecast, in its scale."""
+    return float(stdtrit(prior.freedom or 1e9, _SURE))
+
+
+def charge_now(state: State, battery: Battery) -> float:
+    """Return the state of charge: as it was measured last, or at the start, less what was used since."""
+    measured = not math.isnan(state.charge)
+    begun, spent = (state.charge, state.used_j - state.used_at_charge_j) if measured else (battery.charge, state.used_j)
+    return min(max(begun - spent / battery.full_j, 0.0), 1.0)
+
+
 def place_of(metres: Metres, at_m: float) -> float:
     """Return a place in numbers of metres; the last metre may be shorter."""
     k = min(int(at_m), len(metres.marks_m) - 2)
@@ -154,7 +164,7 @@ def place_of(metres: Metres, at_m: float) -> float:
 def alarm_words(alarm: Alarm) -> str:
     """Say what an alarm says."""
     return (
-        f"Since about {alarm.since_m:.0f} m the robot takes {alarm.side} than the metres before let expect "
+        f"Since about {alarm.since_m:.0f} m the robot takes {alarm.side} than expected from the metres before "
         f"(noticed at {alarm.at_m:.0f} m)."
     )
 
@@ -176,6 +186,10 @@ def _more(causes: tuple[Cause, ...], mean: np.ndarray, covariance: np.ndarray, r
 
 
 def _words(found: Forecast) -> str:
+    if found.left_m < LENGTH_M.low:
+        used = range_words(found.used_j, found.used_j, found.used_j).split(",")[0]
+        arrived = f"The robot has arrived: it drew {used}, and {100.0 * found.charge:.0f} % of the battery is left."
+        return " ".join([arrived, *(alarm_words(alarm) for alarm in found.alarms[-1:])])
     more, side = found.more, "more" if found.more.share >= 0.0 else "less"
     ends = sorted(abs(100.0 * end) for end in (more.low, more.high))
     if more.low <= 0.0 <= more.high:
@@ -184,9 +198,10 @@ def _words(found: Forecast) -> str:
         why = f"{_SUBJECT[more.name]} {abs(100.0 * more.share):.0f} % {side} than planned, "
         why += f"{ends[0]:.0f} to {ends[1]:.0f} %"
     words = (
-        f"{found.left_m:.0f} m to go take {range_words(found.energy_j, found.energy_p05_j, found.energy_p95_j)} "
-        f"({why}); the battery lasts: "
-        f"{probability_words(found.probability)}, {100.0 * found.charge_at_end:.0f} % left at the end."
+        f"the remaining {found.left_m:.0f} m take "
+        f"{range_words(found.energy_j, found.energy_p05_j, found.energy_p95_j)} "
+        f"({why}); the battery lasts with a probability of "
+        f"{probability_words(found.probability)}, with {100.0 * found.charge_at_end:.0f} % left at the end."
     )
     if found.off_route_m > OFF_ROUTE_M:
         words += f" The robot is {found.off_route_m:.0f} m beside its route, and nothing is learnt there."

@@ -19,18 +19,22 @@ from joulemap.model.loop.drive_filter import DriveFilter, DrivePrior, limited
 from joulemap.service.driving.ahead import BACK_M, FASTEST, Metres
 
 LATE_S = 5.0
-"""A sample may be so much older than the newest [s]; an older one, and one that was there already, is not used."""
+"""Setting: a sample may be so much older than the newest [s]. An older one, and one that was there already, is not
+used."""
 MOST_HELD = 1000
 """Samples that are kept for late ones: 200 a second."""
 GAP_S = 10.0
-"""Longest time between samples over which the power is interpolated and learnt from [s]."""
+"""Setting: longest time between samples over which the power is interpolated and learnt from [s]."""
 LONGEST_GAP_S = 3600.0
-"""Setting: what was taken over a longer time without samples is not known, and the clock may have jumped [s]."""
+"""Setting: over a longer time without samples the mean of the powers at its ends says nothing of what was taken, and
+the clock may have jumped [s]. A break at midday is shorter."""
 OFF_ROUTE_M = 3.0
-"""Setting: beside the route by more, the robot drives over other ground, from which nothing is learnt [m]."""
+"""Setting: beside the route by more, the robot drives over other ground, from which nothing is learnt [m]. It is
+less than the error of a fix without corrections: such a robot learns where its fixes are good."""
 MOST_ALARMS = 20
 """The newest alarms that are kept."""
 _ROW_M = 1.0
+_TRAIL = 100
 
 
 class Sample(NamedTuple):
@@ -72,6 +76,8 @@ class State:
     used_at_charge_j: float = 0.0
     cusum: Cusum = field(default_factory=Cusum)
     alarms: tuple[Alarm, ...] = ()
+    trail: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+    """Places [m] and the energy drawn up to each [J], for who looks back: at most `_TRAIL` + 1."""
 
 
 class Tracking:
@@ -89,25 +95,30 @@ class Tracking:
 
     def known(self) -> DriveFilter:
         """Return what is known of this run."""
+        return self._known(self.state)
+
+    def _known(self, state: State) -> DriveFilter:
         known = DriveFilter(self.prior)
-        known.mean, known.covariance = np.array(self.state.mean), np.array(self.state.covariance)
+        known.mean, known.covariance = np.array(state.mean), np.array(state.covariance)
         return known
 
     def add(self, samples: Iterable[Sample]) -> None:
         """Take in samples that came together, in any order. Raises InputError, and takes in none, if one is wrong."""
         given = list(samples)
-        new = self._not_known(given)
+        recent, state, unused = self._recent, self.state, len(given)
+        if self._first_was_wrong(given):
+            recent, state, unused = [], recent[0][1], unused + 1
+        new = _not_known(given, recent, state)
         if not new:
-            self.unused += len(given)
+            self.unused += unused
             return
         first = min(new)
-        place = next((k for k, (one, _) in enumerate(self._recent) if one.time_s > first), len(self._recent))
-        before = self._recent[place][1] if place < len(self._recent) else self.state
-        coming = sorted([*new.values(), *(one for one, _ in self._recent[place:])])
+        place = next((k for k, (one, _) in enumerate(recent) if one.time_s > first), len(recent))
+        before = recent[place][1] if place < len(recent) else state
+        coming = sorted([*new.values(), *(one for one, _ in recent[place:])])
         _check_gaps(before.last, coming)
-        self.unused += len(given) - len(new)
-        del self._recent[place:]
-        self.state = before
+        self.unused += unused - len(new)
+        self._recent, self.state = recent[:place], before
         for one in coming:
             self._recent.append((one, self.state))
             self.state = self._after(self.state, one)
@@ -115,19 +126,19 @@ class Tracking:
         kept = next(k for k, (one, _) in enumerate(self._recent) if one.time_s >= oldest)
         del self._recent[: max(kept, len(self._recent) - MOST_HELD)]
 
-    def _not_known(self, given: list[Sample]) -> dict[float, Sample]:
-        """Those that are neither too late nor there already, by their time."""
-        known = {one.time_s for one, _ in self._recent}
-        before = self._recent[0][1] if self._recent else self.state
-        read = -math.inf if before.last is None else before.last.time_s
-        oldest = -math.inf if self.state.last is None else self.state.last.time_s - LATE_S
-        new: dict[float, Sample] = {}
-        for sample in given:
-            if not all(math.isfinite(value) for value in sample[:4]):
-                raise InputError(f"a sample needs finite time, place and power, got {sample}")
-            if sample.time_s > read and sample.time_s >= oldest and sample.time_s not in known:
-                new.setdefault(sample.time_s, sample)
-        return new
+    def _first_was_wrong(self, given: list[Sample]) -> bool:
+        """Whether the only sample so far, from which nothing follows yet, is of another clock than all that come now:
+        that of a computer that did not know the time yet.
+        """
+        if len(self._recent) != 1 or self._recent[0][1].last is not None:
+            return False
+        only = self._recent[0][0].time_s
+        return all(abs(one.time_s - only) > LONGEST_GAP_S for one in given)
+
+    def keep_learnt(self, before: Tracking) -> None:
+        """Go on with what was learnt of this run on another route."""
+        known = before.state
+        self.state = replace(self.state, mean=known.mean, covariance=known.covariance, learnt_m=known.learnt_m)
 
     def as_dict(self) -> dict[str, Any]:
         """Return all that another process needs to go on, JSON-able."""
@@ -174,14 +185,14 @@ class Tracking:
         at, state.off_m = self.metres.nearest(state.last.x, state.last.y, low_m, high_m)
         if state.off_m <= OFF_ROUTE_M:
             state.at_m = at
+            if at >= state.trail[-1][0] + self.metres.length_m / _TRAIL:
+                state.trail = (*state.trail, (at, state.used_j))
 
     def _learn(self, state: State, begin_m: float) -> None:
         """Learn from the row that ends here."""
         row = self.metres.up_to(state.at_m) - self.metres.up_to(begin_m)
         longer_j = self._idle_w * (state.row_s - float(row[-1]))  # than planned
-        columns = row[:-2] + np.array([longer_j, 0.0, 0.0, longer_j])
-        known = DriveFilter(self.prior)
-        known.mean, known.covariance = np.array(state.mean), np.array(state.covariance)
+        columns, known = row[:-2] + np.array([longer_j, 0.0, 0.0, longer_j]), self._known(state)
         length = np.array([state.at_m - begin_m])
         steps = known.learn(columns[None], np.array([state.row_j]), np.sqrt(row[-2:-1]), length)
         found = state.cusum.add(float(limited(steps)[0]) / self.prior.change_std, begin_m, self._threshold)
@@ -193,6 +204,21 @@ class Tracking:
         state.mean, state.covariance = known.mean.tolist(), known.covariance.tolist()
         state.learnt_m += float(length[0])
         state.row_m, state.row_j, state.row_s = state.at_m, 0.0, 0.0
+
+
+def _not_known(given: list[Sample], recent: list[tuple[Sample, State]], state: State) -> dict[float, Sample]:
+    """Those that are neither too late nor there already, by their time."""
+    known = {one.time_s for one, _ in recent}
+    before = recent[0][1] if recent else state
+    read = -math.inf if before.last is None else before.last.time_s
+    oldest = -math.inf if state.last is None else state.last.time_s - LATE_S
+    new: dict[float, Sample] = {}
+    for sample in given:
+        if not all(math.isfinite(value) for value in sample[:4]):
+            raise InputError(f"a sample needs finite time, place and power, got {sample}")
+        if sample.time_s > read and sample.time_s >= oldest and sample.time_s not in known:
+            new.setdefault(sample.time_s, sample)
+    return new
 
 
 def _check_gaps(last: Sample | None, samples: list[Sample]) -> None:
@@ -216,7 +242,8 @@ def _sample(values: list[float | None]) -> Sample:
 
 def _written(state: State) -> dict[str, Any]:
     last = None if state.last is None else _plain(state.last)
-    return asdict(state) | {"last": last, "charge": state.charge if math.isfinite(state.charge) else None}
+    charge = state.charge if math.isfinite(state.charge) else None
+    return {**vars(state), "last": last, "charge": charge, "cusum": asdict(state.cusum)}
 
 
 def _read(values: Mapping[str, Any]) -> State:
@@ -227,5 +254,6 @@ def _read(values: Mapping[str, Any]) -> State:
             "charge": math.nan if values["charge"] is None else values["charge"],
             "cusum": Cusum(**values["cusum"]),
             "alarms": tuple(Alarm(*alarm) for alarm in values["alarms"]),
+            "trail": tuple((at_m, used_j) for at_m, used_j in values["trail"]),
         }
     )

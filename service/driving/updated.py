@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +37,12 @@ class BetterRoute:
     saving_j: float
     saving_std_j: float
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return it JSON-able."""
+        savings = {"saving_j": self.saving_j, "saving_std_j": self.saving_std_j}
+        sizes = {"length_m": self.route.length_m, "energy_j": self.route.energy_j}
+        return {"path": self.route.points[:, :2].tolist(), **sizes, **savings}
+
 
 def updated_lattice(lattice: CostLattice, known: DriveFilter) -> CostLattice:
     """Return the lattice at what driving costs in this run: every cause is part of the traction, of the cost of turning
@@ -63,16 +70,15 @@ def updated_lattice(lattice: CostLattice, known: DriveFilter) -> CostLattice:
     return replace(lattice, robot=robot, traction_per_m=changed.astype(np.float32), provenance=provenance)
 
 
-def better_route(
-    lattice: CostLattice, updated: CostLattice, known: DriveFilter, rest: Route, planner: RoutePlanner
-) -> BetterRoute | None:
+def better_route(lattice: CostLattice, known: DriveFilter, rest: Route) -> BetterRoute | None:
     """Return another way from here to the goal that is cheaper by more than its uncertainty, or None.
 
-    `lattice`: as planned; `updated`, `planner`: of `updated_lattice`; `rest`: the rest of the present route.
+    `lattice`: as planned; `rest`: the rest of the present route.
     """
+    updated = updated_lattice(lattice, known)
     here, goal = ((float(x), float(y)) for x, y in rest.points[[0, -1], :2])
     try:
-        found = planner.plan(here, goal).route
+        found = RoutePlanner(updated).plan(here, goal).route
     except NoRouteError:
         return None
     ways = [price_given_path(updated, way.points[:, :2]) for way in (rest, found)]

@@ -8,9 +8,9 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.service.coordinates import to_wgs84
 from joulemap.service.exports.positions import degree_text
 from joulemap.service.exports.track import Line, Track
+from joulemap.service.places.coordinates import to_wgs84
 
 COLUMNS = (
     "x_m",
@@ -48,9 +48,7 @@ def _rows(line: Line) -> NDArray[np.float64]:
     """(n, 7) x, y, z, distance, heading, energy, cumulative energy."""
     unknown = np.nan
     if line.profile is None:
-        xyz = line.points
-        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(xyz[:, :2], axis=0).T)))
-        return np.column_stack([xyz, along, np.full((len(xyz), 3), unknown)])
+        return np.column_stack([line.points, line.along_m, np.full((len(line.points), 3), unknown)])
     p = line.profile
     start = [*line.points[0], 0.0, unknown, 0.0, 0.0]
     heading = np.rad2deg(p.heading_rad)

@@ -4,50 +4,23 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Mapping
-from dataclasses import dataclass
-from importlib import import_module
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from joulemap.model.errors import InputError, nearest_name
 from joulemap.planner.lattice import CostLattice
-
-
-@dataclass(frozen=True)
-class MapFormat:
-    """A format that cost maps are written in.
-
-    Attributes
-    ----------
-    name : str
-        Value of `format`.
-    suffix : str
-        How its file ends, or the first of its files.
-    media_type : str
-        For HTTP; of several files, a zip.
-    words : str
-        What it is for.
-    home : str
-        Module and function, "module:function".
-    """
-
-    name: str
-    suffix: str
-    media_type: str
-    words: str
-    home: str
-
+from joulemap.service.exports.formats import Format, format_of
+from joulemap.service.exports.origin import check_origin, lattice_from
 
 ZIP = "application/zip"
-MAP_FORMATS: dict[str, MapFormat] = {
+MAP_FORMATS: dict[str, Format] = {
     known.name: known
     for known in (
-        MapFormat(
+        Format(
             "geotiff", ".tif", "image/tiff", "energies, blocked reasons, deviations by heading", "costmap_raster:write"
         ),
-        MapFormat("cog", ".cog.tif", "image/tiff", "the same, cloud-optimised", "costmap_raster:write_cloud_optimised"),
-        MapFormat("nav2-map", ".yaml", ZIP, "map for Nav2's map server (YAML and PGM)", "nav2_map:write"),
-        MapFormat(
+        Format("cog", ".cog.tif", "image/tiff", "the same, cloud-optimised", "costmap_raster:write_cloud_optimised"),
+        Format("nav2-map", ".yaml", ZIP, "map for Nav2's map server (YAML and PGM)", "nav2_map:write"),
+        Format(
             "nav2-graph", ".graph.geojson", "application/geo+json", "graph for Nav2's route server", "nav2_graph:write"
         ),
     )
@@ -55,40 +28,29 @@ MAP_FORMATS: dict[str, MapFormat] = {
 """Name -> format, in the order of documents."""
 
 
-def map_format_of(file: str | Path, name: str | None = None) -> MapFormat:
-    """Return the format of a file that is to be written."""
-    if name is not None:
-        if name in MAP_FORMATS:
-            return MAP_FORMATS[name]
-        near = nearest_name(name, MAP_FORMATS)
-        hint = f"; did you mean {near}?" if near else "."
-        raise InputError(f"there is no map format {name!r}{hint} Known are {', '.join(MAP_FORMATS)}", format=name)
-    found = [known for known in MAP_FORMATS.values() if str(file).lower().endswith(known.suffix)]
-    if not found:
-        suffixes = ", ".join(f"{known.suffix} ({known.words})" for known in MAP_FORMATS.values())
-        raise InputError(
-            f"the name {Path(file).name!r} does not say what to write: let it end with one of {suffixes}, or give "
-            "`format`",
-            path=str(file),
-        )
-    return max(found, key=lambda known: len(known.suffix))
-
-
-def map_files(lattice: CostLattice, chosen: MapFormat) -> dict[str, bytes]:
+def map_files(lattice: CostLattice, chosen: Format, *, origin: str | Sequence[float] | None = None) -> dict[str, bytes]:
     """Return a cost map in a format.
 
     Result: suffix -> content of each file. "{stem}" in a text stands for their common name.
     """
-    module, function = chosen.home.split(":")
-    found: dict[str, bytes] = getattr(import_module(f"{__package__}.{module}"), function)(lattice)
+    check_origin(origin, chosen.name)
+    if origin is not None:
+        lattice = lattice_from(lattice, origin)
+    found: dict[str, bytes] = chosen.write(lattice)
     return found
 
 
-def save_map(lattice: CostLattice, file: str | Path, name: str | None = None) -> list[Path]:
+def save_map(
+    lattice: CostLattice,
+    file: str | Path,
+    name: str | None = None,
+    *,
+    origin: str | Sequence[float] | None = None,
+) -> list[Path]:
     """Write a cost map for another program."""
-    chosen, path = map_format_of(file, name), Path(file)
+    chosen, path = format_of(MAP_FORMATS, file, name), Path(file)
+    files = map_files(lattice, chosen, origin=origin)
     path.parent.mkdir(parents=True, exist_ok=True)
-    files = map_files(lattice, chosen)
     first = next(iter(files))
     written = [path if suffix == first else path.with_suffix(suffix) for suffix in files]
     for place, content in zip(written, files.values(), strict=True):
@@ -108,3 +70,28 @@ def zipped(files: Mapping[str, bytes], stem: str) -> bytes:
         for suffix, content in files.items():
             archive.writestr(f"{stem}{suffix}", named(content, stem))
     return out.getvalue()
+
+
+class _Sink(bytearray):
+    """What a zip file is written to that nobody seeks in."""
+
+    def write(self, data: bytes) -> int:
+        self.extend(data)
+        return len(data)
+
+    def flush(self) -> None:
+        pass
+
+
+def zip_folder(folder: Path) -> Iterator[bytes]:
+    """Yield a folder as a zip file, chunk by chunk, without a second copy on disk or in memory.
+
+    Files are stored, not compressed: the chunks of a lattice are compressed already.
+    """
+    sink = _Sink()
+    with zipfile.ZipFile(sink, "w", zipfile.ZIP_STORED) as archive:  # type: ignore[call-overload]
+        for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+            archive.write(path, path.relative_to(folder.parent))
+            yield bytes(sink)
+            sink.clear()
+    yield bytes(sink)

@@ -9,24 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.errors import InputError, TooLargeError
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.pricing.integrator import leg_prices_between
 from joulemap.service.exports.ros_path import FRAME
 
-USUAL_NODES, MOST_NODES = 2_500, 40_000
-"""Nodes of a graph whose spacing nobody chose, and of any: 40,000 make a file of about 80 MB, all of which is read."""
+MOST_NODES = 2_500
+"""Setting: of a graph, whose spacing follows from it; they make a file of about 5 MB, all of which is read."""
 
 _NEIGHBOURS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))
 
 
-def write(lattice: CostLattice, *, spacing_m: float | None = None) -> dict[str, bytes]:
+def write(lattice: CostLattice) -> dict[str, bytes]:
     """Return a route graph.
 
     Result: ".geojson" -> the file, in the form of Nav2: nodes are points with `id` and `frame`, edges have `startid`,
     `endid` and `cost`, the energy of the straight way [J], at least 0. Its coordinates are x, y [m] of the map.
     """
-    cells = _cells_apart(lattice, spacing_m)
+    rows, cols = lattice.frame.shape
+    cells = max(1, math.ceil(math.sqrt(rows * cols / MOST_NODES)))
     place = _nodes(lattice, cells)
     there = place[..., 0] >= 0
     number = np.where(there, np.cumsum(there).reshape(there.shape) - 1, -1)
@@ -55,25 +55,6 @@ def write(lattice: CostLattice, *, spacing_m: float | None = None) -> dict[str, 
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
     document = {"type": "FeatureCollection", "name": "graph", "features": features}
     return {".geojson": (json.dumps(document, allow_nan=False) + "\n").encode()}
-
-
-def _cells_apart(lattice: CostLattice, spacing_m: float | None) -> int:
-    rows, cols = lattice.frame.shape
-    if spacing_m is None:
-        return max(1, math.ceil(math.sqrt(rows * cols / USUAL_NODES)))
-    if not (math.isfinite(spacing_m) and spacing_m > 0.0):
-        raise InputError(f"the spacing of a route graph is {spacing_m}: give metres above 0", spacing_m=str(spacing_m))
-    cells = max(1, round(spacing_m / lattice.frame.resolution_m))
-    nodes = math.ceil(rows / cells) * math.ceil(cols / cells)
-    if nodes > MOST_NODES:
-        least = lattice.frame.resolution_m * math.ceil(math.sqrt(rows * cols / MOST_NODES))
-        raise TooLargeError(
-            f"a route graph with a node every {spacing_m:g} m has {nodes:,}, the limit is {MOST_NODES:,}: choose a "
-            f"spacing of about {least:g} m",
-            nodes=nodes,
-            limit=MOST_NODES,
-        )
-    return cells
 
 
 def _nodes(lattice: CostLattice, cells: int) -> NDArray[np.int64]:

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import Points, world_points
-from joulemap.service.coordinates import DECIMALS, from_wgs84, to_wgs84
 from joulemap.service.exports.clearance import FURTHEST_M, cleared
 from joulemap.service.exports.track import Line, Track
+from joulemap.service.places.coordinates import DECIMALS, from_wgs84, to_wgs84
 
 
 def degrees_of(track: Track, line: Line) -> NDArray[np.float64]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from joulemap.service.coordinates import DECIMALS
 from joulemap.service.exports.mission import CHANGE_SPEED, GROUND_SPEED, UNCHANGED_THROTTLE, WAYPOINT, mission_of
 from joulemap.service.exports.track import Track
+from joulemap.service.places.coordinates import DECIMALS
 
 ARDUPILOT, GROUND_ROVER = 3, 10
 """MAV_AUTOPILOT_ARDUPILOTMEGA and MAV_TYPE_GROUND_ROVER."""
@@ -19,17 +19,20 @@ _ABOVE_HOME = 1  # altitude mode
 def write(track: Track) -> bytes:
     """Return what is driven as a plan of QGroundControl.
 
-    Result: JSON: the speed, then a waypoint for each corner that the energy needs, at height 0 above home.
+    Result: JSON: a waypoint for each corner that the energy needs, at height 0 above home, and each change of speed.
 
     Reference: QGroundControl Developer Guide, Plan File Format.
     """
     mission = mission_of(track)
-    speed = round(mission.speed_mps, 3)
-    items = [_item(1, CHANGE_SPEED, _NO_PLACE, [GROUND_SPEED, speed, UNCHANGED_THROTTLE, 0, 0, 0, 0])]
-    for number, (lon, lat) in enumerate(mission.waypoints, start=2):
+    items: list[dict[str, Any]] = []
+    for speed_mps, (lon, lat) in mission.items():
+        if speed_mps is not None:
+            change = [GROUND_SPEED, round(speed_mps, 3), UNCHANGED_THROTTLE, 0, 0, 0, 0]
+            items.append(_item(len(items) + 1, CHANGE_SPEED, _NO_PLACE, change))
         place = [round(lat, DECIMALS), round(lon, DECIMALS), 0]
         height = {"Altitude": 0, "AltitudeMode": _ABOVE_HOME, "AMSLAltAboveTerrain": None}
-        items.append(_item(number, WAYPOINT, _RELATIVE_HEIGHT, [0, 0, 0, None, *place]) | height)
+        items.append(_item(len(items) + 1, WAYPOINT, _RELATIVE_HEIGHT, [0, 0, 0, None, *place]) | height)
+    speed = round(mission.speeds_mps[0], 3)
     lon, lat = mission.waypoints[0]
     plan = {
         "fileType": "Plan",

@@ -39,7 +39,7 @@ def _poses(line: Line, speed_mps: float) -> Poses:
     if line.profile is None:
         xyz = line.points
         step = np.diff(xyz[:, :2], axis=0)
-        heading, along = heading_of(step[:, 0], step[:, 1]), np.append(0.0, np.cumsum(np.hypot(*step.T)))
+        heading, along = heading_of(step[:, 0], step[:, 1]), line.along_m
     else:
         p = line.profile
         xyz = np.vstack([line.points[:1], np.column_stack([p.x, p.y, p.z])])

@@ -1,123 +1,76 @@
-"""The formats of routes: name, suffix and module of each. Adding one is a module with `write` and a line here."""
+"""The formats of routes: name, suffix and function of each. Adding one is a module with `write` and a line here."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from pathlib import Path
 from typing import Any
 
-from joulemap.model.errors import InputError, nearest_name
-from joulemap.service.coordinates import known_crs
+from joulemap.model.errors import InputError
+from joulemap.service.exports.formats import Format
 from joulemap.service.exports.geojson import COORDINATES, MAP, WGS84
+from joulemap.service.exports.origin import check_origin, track_from
 from joulemap.service.exports.track import Track
+from joulemap.service.places.coordinates import known_crs
 
-
-@dataclass(frozen=True)
-class RouteFormat:
-    """A format that routes are written in.
-
-    Attributes
-    ----------
-    name : str
-        Value of `format`.
-    suffix : str
-        How its files end.
-    media_type : str
-        For HTTP.
-    words : str
-        What it is for.
-    module : str
-        In this package; its `write` makes the file.
-    degrees : bool
-        Whether it needs longitude and latitude, WGS 84.
-    """
-
-    name: str
-    suffix: str
-    media_type: str
-    words: str
-    module: str
-    degrees: bool = True
-
-
-ROUTE_FORMATS: dict[str, RouteFormat] = {
+_PLAN, _ROS = "application/vnd.qgroundcontrol.plan+json", "application/vnd.ros.path+json"
+_KML = "application/vnd.google-earth.kml+xml"
+ROUTE_FORMATS: dict[str, Format] = {
     known.name: known
     for known in (
-        RouteFormat("geojson", ".geojson", "application/geo+json", "GeoJSON (RFC 7946): GIS, web maps", "geojson"),
-        RouteFormat("gpx", ".gpx", "application/gpx+xml", "GPX 1.1: GPS devices, phones", "gpx"),
-        RouteFormat("kml", ".kml", "application/vnd.google-earth.kml+xml", "KML 2.2: Google Earth", "kml"),
-        RouteFormat("csv", ".csv", "text/csv", "CSV: the route metre by metre", "csv_table", degrees=False),
-        RouteFormat(
-            "qgc-plan",
-            ".plan",
-            "application/vnd.qgroundcontrol.plan+json",
-            "mission for QGroundControl",
-            "qgroundcontrol",
+        Format(
+            "geojson", ".geojson", "application/geo+json", "GeoJSON (RFC 7946): GIS, web maps", "geojson:write", True
         ),
-        RouteFormat("waypoints", ".waypoints", "text/plain", "mission for ArduPilot (QGC WPL 110)", "ardupilot"),
-        RouteFormat("mcap", ".mcap", "application/octet-stream", "ROS 2 nav_msgs/Path in MCAP", "mcap", degrees=False),
-        RouteFormat(
-            "ros-path",
-            ".path.json",
-            "application/vnd.ros.path+json",
-            "ROS nav_msgs/Path as JSON",
-            "ros_path",
-            degrees=False,
-        ),
+        Format("gpx", ".gpx", "application/gpx+xml", "GPX 1.1: GPS devices, phones", "gpx:write", True),
+        Format("kml", ".kml", _KML, "KML 2.2: Google Earth", "kml:write", True),
+        Format("csv", ".csv", "text/csv", "CSV: the route metre by metre", "csv_table:write"),
+        Format("qgc-plan", ".plan", _PLAN, "mission for QGroundControl", "qgroundcontrol:write", True),
+        Format("waypoints", ".waypoints", "text/plain", "mission for ArduPilot (QGC WPL 110)", "ardupilot:write", True),
+        Format("mcap", ".mcap", "application/octet-stream", "ROS 2 nav_msgs/Path in MCAP", "mcap:write"),
+        Format("ros-path", ".path.json", _ROS, "ROS nav_msgs/Path as JSON", "ros_path:write"),
     )
 }
 """Name -> format, in the order of documents."""
 
 
-def route_format(name: str) -> RouteFormat:
-    """Return a format by its name."""
-    if name not in ROUTE_FORMATS:
-        near = nearest_name(name, ROUTE_FORMATS)
-        hint = f"; did you mean {near}?" if near else ""
-        raise InputError(f"there is no route format {name!r}{hint} Known are {', '.join(ROUTE_FORMATS)}", format=name)
-    return ROUTE_FORMATS[name]
+@dataclass(frozen=True)
+class RouteFile:
+    """How a route is written: in which format, and what that leaves open."""
 
+    format: Format
+    coordinates: str | None = None
+    origin: str | Sequence[float] | None = None
 
-def route_format_of(file: str | Path, name: str | None = None) -> RouteFormat:
-    """Return the format of a file that is to be written."""
-    if name is not None:
-        return route_format(name)
-    found = [known for known in ROUTE_FORMATS.values() if str(file).lower().endswith(known.suffix)]
-    if not found:
-        suffixes = ", ".join(known.suffix for known in ROUTE_FORMATS.values())
-        raise InputError(
-            f"the name {Path(file).name!r} does not say what to write: let it end with one of {suffixes}, or give "
-            "`format`",
-            path=str(file),
-        )
-    return max(found, key=lambda known: len(known.suffix))
+    @property
+    def query(self) -> dict[str, Any]:
+        """What a service is asked for."""
+        how = {"format": self.format.name, "coordinates": self.coordinates, "origin": self.origin}
+        return {name: value for name, value in how.items() if value is not None}
 
+    def check(self, crs: str | None) -> None:
+        """Refuse what cannot be written on a map; asked before a search."""
+        chosen, coordinates = self.format, self.coordinates
+        check_origin(self.origin, chosen.name)
+        if coordinates is not None and coordinates not in COORDINATES:
+            raise InputError(f"`coordinates` is {coordinates!r}: give {WGS84} or {MAP}", coordinates=coordinates)
+        if coordinates is not None and chosen.name != "geojson":
+            raise InputError(f"`coordinates` is for GeoJSON: leave it out for {chosen.name}", format=chosen.name)
+        if chosen.degrees and coordinates != MAP:
+            try:
+                known_crs(crs)
+            except InputError as error:
+                own = [known.name for known in ROUTE_FORMATS.values() if not known.degrees]
+                raise InputError(
+                    f"{chosen.name} is in degrees of latitude and longitude: {error.message}. Formats in metres of the "
+                    f"map are {', '.join(own)}, and geojson with `coordinates` = map",
+                    format=chosen.name,
+                ) from error
 
-def check_route_format(chosen: RouteFormat, crs: str | None, coordinates: str | None = None) -> dict[str, Any]:
-    """Refuse what cannot be written on a map; asked before a search.
-
-    Result: keyword arguments for the module's `write`.
-    """
-    if coordinates is not None and coordinates not in COORDINATES:
-        raise InputError(f"`coordinates` is {coordinates!r}: give {WGS84} or {MAP}", coordinates=coordinates)
-    if coordinates is not None and chosen.name != "geojson":
-        raise InputError(f"`coordinates` is for GeoJSON: leave it out for {chosen.name}", format=chosen.name)
-    if chosen.degrees and coordinates != MAP:
-        try:
-            known_crs(crs)
-        except InputError as error:
-            own = [known.name for known in ROUTE_FORMATS.values() if not known.degrees]
-            raise InputError(
-                f"{chosen.name} is in degrees of latitude and longitude: {error.message}. Formats in metres of the map "
-                f"are {', '.join(own)}, and geojson with `coordinates` = map",
-                format=chosen.name,
-            ) from error
-    return {} if coordinates is None else {"coordinates": coordinates}
-
-
-def route_file(track: Track, chosen: RouteFormat, *, coordinates: str | None = None) -> bytes:
-    """Return a track as a file."""
-    how = check_route_format(chosen, track.crs, coordinates)
-    written: bytes = import_module(f"{__package__}.{chosen.module}").write(track, **how)
-    return written
+    def written(self, track: Track) -> bytes:
+        """Return a track as a file."""
+        self.check(track.crs)
+        if self.origin is not None:
+            track = track_from(track, self.origin)
+        how = {} if self.coordinates is None else {"coordinates": self.coordinates}
+        content: bytes = self.format.write(track, **how)
+        return content

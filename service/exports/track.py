@@ -44,6 +44,11 @@ class Line:
     profile: Profile | None = None
 
     @property
+    def along_m(self) -> NDArray[np.float64]:
+        """Distance of each corner from the start [m]."""
+        return np.append(0.0, np.cumsum(np.hypot(*np.diff(self.points[:, :2], axis=0).T)))
+
+    @property
     def title(self) -> str:
         """The kind in words."""
         number = self.properties.get("number")
@@ -68,6 +73,9 @@ class Track:
         With which missions are simplified; None: they keep all corners.
     extra : dict
         JSON-able members of a GeoJSON document.
+    stretches : tuple of (float, float)
+        Where each stretch of the one line that is driven ends, from the start [m], and its speed [m/s]; empty where all
+        is driven at `speed_mps`.
     """
 
     name: str
@@ -76,6 +84,7 @@ class Track:
     speed_mps: float
     lattice: CostLattice | None = None
     extra: dict[str, Any] = field(default_factory=dict)
+    stretches: tuple[tuple[float, float], ...] = ()
 
     @property
     def driven(self) -> tuple[Line, ...]:

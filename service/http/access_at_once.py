@@ -6,16 +6,15 @@ import ipaddress
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from types import MappingProxyType
 
 import anyio
 from sse_starlette import EventSourceResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from joulemap.model.errors import BusyError, JoulemapError, RateError
+from joulemap.model.errors import BusyError, RateError
 from joulemap.service.http.access_origin import HEALTH_PATHS
-from joulemap.service.http.connections import Connections
-from joulemap.service.http.problem_answers import response
-from joulemap.service.problems import problem_of
+from joulemap.service.http.middleware import Middleware
 
 PROBE_PATHS = (*HEALTH_PATHS, "/metrics")
 """They are answered at once and whole, so that they need no limit."""
@@ -50,47 +49,40 @@ class AtOnce:
                 del self._now[client]
 
 
-class Admission:
+class Admission(Middleware):
     """Answers 429 where an address has too many connections that are being answered, and 503 where all have together.
 
-    A client that does not take its answer makes room for another one. Probes are always let in.
+    Probes are always let in.
     """
 
-    def __init__(self, app: ASGIApp, *, connections: Connections, each: AtOnce) -> None:
-        self._app, self._connections, self._each = app, connections, each
+    refusal_headers = MappingProxyType({"Connection": "close"})
+
+    def __init__(self, app: ASGIApp, *, most: int, each: AtOnce) -> None:
+        super().__init__(app)
+        self._most, self._each = most, each
         self._answered = 0
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http" or scope["path"] in PROBE_PATHS:
+    async def request(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] in PROBE_PATHS:
             await self._app(scope, receive, send)
             return
-        with ExitStack() as stack:
-            try:
-                stack.enter_context(self._each.one_of(address_of(scope)))
-                self._check_room()
-            except JoulemapError as error:
-                answer = response(problem_of(error, scope["state"]["request_id"]))
-                if not {b"content-length", b"transfer-encoding"}.intersection(name for name, _ in scope["headers"]):
-                    answer.headers["Connection"] = "close"  # where a body comes, closing would lose the answer
-                await answer(scope, receive, send)
-                return
+        with self._each.one_of(address_of(scope)):
+            self._check_room()
             self._answered += 1
-            stack.callback(self._ended)
-            await self._app(scope, receive, send)
+            try:
+                await self._app(scope, receive, send)
+            finally:
+                self._answered -= 1
 
     def _check_room(self) -> None:
-        most = self._connections.most
-        if self._answered >= most and not self._connections.end_a_stalled_one():
+        if self._answered >= self._most:
             raise BusyError(
-                f"{self._answered} connections are being answered, and at most {most} may be at a time "
+                f"{self._answered} connections are being answered, and at most {self._most} may be at a time "
                 "(JOULEMAP_MAX_CONNECTIONS)",
                 found=self._answered,
-                limit=most,
+                limit=self._most,
                 retry_after_s=_RETRY_S,
             )
-
-    def _ended(self) -> None:
-        self._answered -= 1
 
 
 class EventStream(EventSourceResponse):

@@ -1,4 +1,4 @@
-"""ASGI middleware for keys: on whose behalf a request is; one without a valid key is refused if there are keys."""
+"""ASGI middleware for keys: on whose behalf a request is, how many a second; without a valid one it is refused."""
 
 from __future__ import annotations
 
@@ -14,17 +14,45 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from joulemap.model.errors import BusyError, ForbiddenError, JoulemapError, UnauthorizedError
+from joulemap.model.errors import BusyError, ForbiddenError, RateError, UnauthorizedError
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.http.access_at_once import PROBE_PATHS, AtOnce
 from joulemap.service.http.access_origin import HEALTH_PATHS
-from joulemap.service.http.access_rate import Buckets
-from joulemap.service.http.problem_answers import response
-from joulemap.service.problems import no_database, problem_of
-from joulemap.service.settings import Settings
+from joulemap.service.http.middleware import Middleware
+from joulemap.service.problems import no_database
 from joulemap.service.storage.keys import all_keys, fits, prefix_of
 from joulemap.service.storage.owners import NOBODY, Caller
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import KeyRow
+
+BURST_S = 10.0
+"""A caller that was quiet may send so many seconds' worth of requests at once."""
+
+
+class Buckets:
+    """Token buckets by name; one that is full again is forgotten when another one is made.
+
+    `clock`: returns a time that only grows [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._buckets: dict[str, tuple[float, float]] = {}  # name -> tokens at a time
+
+    def take(self, name: str, per_s: float) -> None:
+        """Take one token, from the thread of the event loop."""
+        now, most = self._clock(), max(1.0, per_s * BURST_S)
+        tokens, since = self._buckets.get(name, (most, now))
+        tokens = min(most, tokens + (now - since) * per_s)
+        if tokens < 1.0:
+            self._buckets[name] = tokens, now
+            raise RateError(
+                f"key {name} sends more than {per_s:g} requests per second: wait as long as Retry-After says",
+                limit_per_s=per_s,
+                retry_after_s=(1.0 - tokens) / per_s,
+            )
+        self._buckets[name] = tokens - 1.0, now
+
 
 KNOWN_S = 2.0
 """So long a key that was revoked is still accepted [s]."""
@@ -102,31 +130,22 @@ class Keys:
         )
 
 
-class KeyCheck:
+class KeyCheck(Middleware):
     """Puts the caller into the request's state; answers 401, 403 or 429 where it may not ask, 503 without database."""
 
     def __init__(self, app: ASGIApp, *, keys: Keys, answered: AtOnce, away: Callable[[], bool] = lambda: False) -> None:
-        self._app = app
+        super().__init__(app)
         self._keys, self._answered, self._away = keys, answered, away
         self._buckets = Buckets()
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
+    async def request(self, scope: Scope, receive: Receive, send: Send) -> None:
         state = scope.setdefault("state", {})
         state["caller"] = NOBODY
         path = scope["path"]
         with ExitStack() as stack:
-            try:
-                if path not in _OPEN_PATHS and not path.startswith(_OPEN_FOLDERS):
-                    state["caller"] = await self._caller(scope, stack)
-                    state["still_valid"] = partial(self._keys.still_valid, Headers(scope=scope), state["caller"])
-            except JoulemapError as error:
-                body = problem_of(error, state.get("request_id"))
-                headers = {"WWW-Authenticate": "Bearer"} if isinstance(error, UnauthorizedError) else {}
-                await response(body, headers)(scope, receive, send)
-                return
+            if path not in _OPEN_PATHS and not path.startswith(_OPEN_FOLDERS):
+                state["caller"] = await self._caller(scope, stack)
+                state["still_valid"] = partial(self._keys.still_valid, Headers(scope=scope), state["caller"])
             await self._app(scope, receive, send)
 
     async def _caller(self, scope: Scope, stack: ExitStack) -> Caller:

@@ -9,8 +9,7 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from joulemap.model.errors import ForbiddenError
-from joulemap.service.http.problem_answers import response
-from joulemap.service.problems import problem_of
+from joulemap.service.http.middleware import Middleware
 
 HEALTH_PATHS = ("/healthz", "/readyz")
 """Probes call these by any address; they tell nothing about what is kept."""
@@ -21,7 +20,7 @@ _WILDCARDS = ("", "0.0.0.0", "::")
 _SAME = ("same-origin", "none")  # `none`: the user typed the address
 
 
-class TrustedPages:
+class TrustedPages(Middleware):
     """Answers 403 to a request whose `Host` is not allowed, and to one that a page of another origin sends.
 
     The check of `Host` stops DNS rebinding: a foreign page whose name suddenly leads to this machine. The check of
@@ -32,19 +31,14 @@ class TrustedPages:
     def __init__(
         self, app: ASGIApp, *, host: str, allowed_hosts: Collection[str], cors_origins: Collection[str]
     ) -> None:
-        self._app = app
+        super().__init__(app)
         listens = () if host in _WILDCARDS else (host.lower(),)
         self._hosts = {name.strip("[]") for name in (*_LOOPBACK, *listens, *allowed_hosts)}
         self._origins = set(cors_origins)
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "http" and scope["path"] not in HEALTH_PATHS:
-            try:
-                self._check(scope, Headers(scope=scope))
-            except ForbiddenError as error:
-                body = problem_of(error, scope.get("state", {}).get("request_id"))
-                await response(body)(scope, receive, send)
-                return
+    async def request(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] not in HEALTH_PATHS:
+            self._check(scope, Headers(scope=scope))
         await self._app(scope, receive, send)
 
     def _check(self, scope: Scope, headers: Headers) -> None:

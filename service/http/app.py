@@ -15,6 +15,7 @@ import anyio
 from fastapi import FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.http import documents, problem_answers
 from joulemap.service.http.access_at_once import Admission
 from joulemap.service.http.access_keys import KeyCheck, Keys, warn_if_open
@@ -27,17 +28,16 @@ from joulemap.service.http.routes import (
     costmaps,
     drives,
     heightmaps,
-    job_progress,
+    jobs,
     layers,
     meta,
     page,
     questions,
-    reach,
     runs,
 )
 from joulemap.service.http.service import Service
+from joulemap.service.http.slow_clients import SlowClients
 from joulemap.service.http.watched import on_the_loop
-from joulemap.service.settings import Settings
 
 DESCRIPTION = """Energy planner for ground robots. Send a heightmap, and ask for a directional cost map, energy-optimal
 paths and battery verdicts. Send measured runs, and ask which effects the model does not contain; you get a calibrated
@@ -76,10 +76,9 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         heightmaps,
         costmaps,
         contents,
-        reach,
         runs,
         calibrations,
-        job_progress,
+        jobs,
         drives,
         layers,
     ):
@@ -110,7 +109,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         other_bytes=int(settings.max_json_mb * 1e6),
         upload_paths=("/v1/heightmaps", "/v1/costmaps", "/v1/runs"),
     )
-    app.add_middleware(Admission, connections=service.connections, each=service.answered)
+    app.add_middleware(Admission, most=settings.max_connections, each=service.answered)
+    app.add_middleware(SlowClients, stalled_s=settings.stalled_s)
     app.add_middleware(Observed, metrics=service.metrics)
     return app
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from fastapi import Response
+from fastapi.responses import StreamingResponse
 from pydantic import BaseModel
 from pydantic_core import to_json
 
@@ -42,16 +44,25 @@ def _is_long(value: Any) -> bool:
     return isinstance(value, list) and len(value) > _SLICE
 
 
+def attachment(content: bytes | Iterator[bytes], media_type: str, name: str) -> Response:
+    """Return a file, whole or by and by, to be kept under a name."""
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    if isinstance(content, bytes):
+        return Response(content, media_type=media_type, headers=headers)
+    return StreamingResponse(content, media_type=media_type, headers=headers)
+
+
 def warnings_of(row: CostmapRow) -> list[str]:
     """Return what the maker of a cost map warned of."""
     return list((row.summary or {}).get("provenance", {}).get("warnings", []))
 
 
-def same_robot(row: CostmapRow, given: BaseModel | None) -> Robot:
-    """Return the robot of a cost map. Raises ConflictError if another one is given; it names the fields."""
+def refuse_other_robot(row: CostmapRow, given: BaseModel | None) -> None:
+    """Refuse a robot that is not that of a cost map. Raises ConflictError, which names the fields."""
+    if given is None:
+        return
     robot, values = Robot.from_mapping(row.robot), robot_values(given)
-    if values:
-        Robot.from_mapping(values)
+    Robot.from_mapping(values)
     differing = {
         key: (getattr(robot, key), value)
         for key, value in values.items()
@@ -65,4 +76,3 @@ def same_robot(row: CostmapRow, given: BaseModel | None) -> Robot:
             costmap_robot=jsonable({key: there for key, (there, _) in differing.items()}),
             given_robot=jsonable({key: here for key, (_, here) in differing.items()}),
         )
-    return robot

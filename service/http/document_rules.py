@@ -25,11 +25,17 @@ def _status_is(status: str, **fields: dict[str, Any]) -> dict[str, Any]:
     return {"if": {"properties": {"status": {"const": status}}}, "then": {"properties": fields}}
 
 
-_UNTIL_DONE = (
-    _status_is("queued", finished_at=_NULL, problem=_NULL),
-    _status_is("running", finished_at=_NULL, problem=_NULL),
-)
-_CANCELLED = _status_is("cancelled", finished_at=_GIVEN, problem=_NULL)
+def _states(*made: str) -> dict[str, Any]:
+    """What is there of a job in each of its states; `made`: fields that are there when it is done."""
+    states = (
+        *(_status_is(status, finished_at=_NULL, problem=_NULL) for status in ("queued", "running")),
+        _status_is("done", finished_at=_GIVEN, **dict.fromkeys(made, _GIVEN), problem=_NULL),
+        _status_is("failed", finished_at=_GIVEN, problem=_GIVEN, **{made[0]: _NULL}),
+        _status_is("cancelled", finished_at=_GIVEN, problem=_NULL),
+    )
+    return {"allOf": list(states)}
+
+
 _BOTH_ENDS: dict[str, Any] = {"required": ["start", "goal"], "properties": {"start": _GIVEN, "goal": _GIVEN}}
 _NO_END = {"properties": {"start": _NULL, "goal": _NULL}}
 
@@ -41,22 +47,8 @@ CONDITIONS: dict[str, dict[str, Any]] = {
         ]
     },
     "CalibrationRequest": {"oneOf": [_BOTH_ENDS, _NO_END]},
-    "CostmapOut": {
-        "allOf": [
-            *_UNTIL_DONE,
-            _status_is("done", finished_at=_GIVEN, frame=_GIVEN, blocked=_GIVEN, provenance=_GIVEN, problem=_NULL),
-            _status_is("failed", finished_at=_GIVEN, problem=_GIVEN, frame=_NULL),
-            _CANCELLED,
-        ]
-    },
-    "CalibrationOut": {
-        "allOf": [
-            *_UNTIL_DONE,
-            _status_is("done", finished_at=_GIVEN, calibrated_model=_GIVEN, problem=_NULL),
-            _status_is("failed", finished_at=_GIVEN, problem=_GIVEN, calibrated_model=_NULL),
-            _CANCELLED,
-        ]
-    },
+    "CostmapOut": _states("frame", "blocked", "provenance"),
+    "CalibrationOut": _states("calibrated_model"),
 }
 """By component: what its schema also asks for."""
 

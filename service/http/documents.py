@@ -12,7 +12,6 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from joulemap.model.terrain.formats import formats_in_words
-from joulemap.service.http.allowed import Allowed
 from joulemap.service.http.document_rules import (
     CONDITIONS,
     OPEN_PATHS,
@@ -24,13 +23,14 @@ from joulemap.service.http.document_rules import (
     statuses_of,
 )
 from joulemap.service.problems import MEDIA_TYPE
+from joulemap.service.questions.costmap import CostmapOptions, CostmapRequest
 from joulemap.service.questions.reading import UploadOptions
 from joulemap.service.schemas.base import Problem
-from joulemap.service.schemas.maps import CostmapOptions, CostmapRequest
 
 _REF = "#/components/schemas/{model}"
+BINARY = {"schema": {"type": "string", "format": "binary"}}
+"""The content of an answer that is a file or a picture."""
 _FILE = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
-_HEIGHTMAP = f"the heightmap: {formats_in_words()}"
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -44,9 +44,7 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 def upload_body() -> dict[str, Any]:
     """Return the `openapi_extra` of the heightmap upload: a form with a file, or the file itself."""
-    heightmap = {**_FILE, "description": _HEIGHTMAP}
-    fields = UploadOptions.model_json_schema()["properties"]
-    return _form_or_file({"file": heightmap, **fields}, {"application/octet-stream": _FILE, "image/tiff": _FILE})
+    return _form_or_file(_heightmap_fields(), {"application/octet-stream": _FILE, "image/tiff": _FILE})
 
 
 def runs_body() -> dict[str, Any]:
@@ -54,6 +52,11 @@ def runs_body() -> dict[str, Any]:
     run = {**_FILE, "description": "a measured run: CSV, Parquet, MCAP, ROS bag, flight log or FIT"}
     files = {"type": "array", "items": run, "minItems": 1}
     return _form_or_file({"file": files}, {"text/csv": {"type": "string"}, "application/octet-stream": _FILE})
+
+
+def _heightmap_fields() -> dict[str, Any]:
+    heightmap = {**_FILE, "description": f"the heightmap: {formats_in_words()}"}
+    return {"file": heightmap, **UploadOptions.model_json_schema()["properties"]}
 
 
 def _form_or_file(fields: dict[str, Any], raw: dict[str, Any]) -> dict[str, Any]:
@@ -64,23 +67,9 @@ def _form_or_file(fields: dict[str, Any], raw: dict[str, Any]) -> dict[str, Any]
 
 def costmap_body() -> dict[str, Any]:
     """Return the `openapi_extra` of the cost map request: JSON with a heightmap's id, or a form with the heightmap."""
-    fields = UploadOptions.model_json_schema()["properties"]
     options = {"type": "string", "description": "CostmapOptions as JSON", "contentMediaType": "application/json"}
-    form = {
-        "type": "object",
-        "properties": {"file": {**_FILE, "description": _HEIGHTMAP}, "options": options, **fields},
-        "required": ["file"],
-        "additionalProperties": False,
-    }
-    return {
-        "requestBody": {
-            "required": True,
-            "content": {
-                "application/json": {"schema": {"$ref": _REF.format(model="CostmapRequest")}},
-                "multipart/form-data": {"schema": form},
-            },
-        }
-    }
+    body = {"application/json": {"$ref": _REF.format(model="CostmapRequest")}}
+    return _form_or_file({"options": options, **_heightmap_fields()}, body)
 
 
 def install(app: FastAPI) -> None:
@@ -101,7 +90,6 @@ def install(app: FastAPI) -> None:
         return app.openapi_schema
 
     app.openapi = _openapi  # type: ignore[method-assign]
-    app.add_middleware(Allowed, paths=lambda: app.openapi()["paths"])
 
 
 def _complete(document: dict[str, Any]) -> None:

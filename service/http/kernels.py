@@ -11,10 +11,11 @@ from functools import cache
 import anyio
 
 from joulemap.model.errors import BusyError, JoulemapError
-from joulemap.service.warm_up import warm_up
+from joulemap.planner.grid.stopping import Stopped, new_flag, stoppable
+from joulemap.service.work.warm_up import warm_up
 
 _LOG = logging.getLogger("joulemap.service")
-_WAIT_S, _LOOK_S = 120.0, 0.05
+_WAIT_S, _LOOK_S, _STOP_S = 120.0, 0.05, 3.0
 _COLLECTED_AFTER = 2_000, 10, 100
 """When cycles are looked for: after so many new objects among them, every tenth time among those that were left since,
 and every hundredth time of these among all. No other thread runs meanwhile: among 50,000 objects it takes 50 ms on a
@@ -27,11 +28,16 @@ class Kernels:
     def __init__(self) -> None:
         self.seconds: float | None = None
         self._failure = "see the log"
-        self._ended = threading.Event()
+        self._ended, self._stop = threading.Event(), new_flag()
 
     def load(self, check: Callable[[], object]) -> None:
         """Load them on a thread."""
         threading.Thread(target=self._load, args=(check,), name="warm-up", daemon=True).start()
+
+    def stop(self) -> None:
+        """End loading, before the folder goes in which it has a map; only a kernel that is being compiled goes on."""
+        self._stop[0] = 1
+        self._ended.wait(_STOP_S)
 
     async def loaded(self) -> None:
         """Wait until they are loaded, without a thread."""
@@ -56,9 +62,12 @@ class Kernels:
 
     def _load(self, check: Callable[[], object]) -> None:
         try:
-            check()
-            self.seconds = _loaded()
+            with stoppable(self._stop):
+                check()
+                self.seconds = _loaded()
             _LOG.info("kernels are loaded after %.1f s", self.seconds)
+        except Stopped:
+            self._failure = "the service stops"
         except JoulemapError as error:
             self._failure = error.message
             _LOG.error("loading the kernels failed: %s", error.message)

@@ -6,10 +6,10 @@ import time
 from typing import TypeVar
 
 from joulemap.model.errors import BusyError, ConflictError
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.http.open_maps import OpenMaps
 from joulemap.service.http.retention import Retention
 from joulemap.service.jobs.engine import Jobs
-from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import CANCELLED, COSTMAP, DONE, FAILED, WORDS, CalibrationRow, CostmapRow
 

@@ -70,20 +70,16 @@ class Metrics:
 
     def queues(self, queues: Iterable[WorkQueue]) -> None:
         """Add what there is to know of queues."""
-        known = {queue.name: queue for queue in queues}
+        known, labels = {queue.name: queue for queue in queues}, ("queue",)
 
-        def _each(value: Callable[[WorkQueue], int]) -> Callable[[], Mapping[str, float]]:
-            return lambda: {name: float(value(queue)) for name, queue in known.items()}
+        def _each(value: str) -> Callable[[], Mapping[str, float]]:
+            return lambda: {name: float(getattr(queue, value)) for name, queue in known.items()}
 
-        self.gauge("joulemap_queue_waiting", "questions that wait", _each(lambda q: q.waiting), labels=("queue",))
-        self.gauge("joulemap_queue_running", "questions on a thread", _each(lambda q: q.running), labels=("queue",))
-        self.gauge("joulemap_queue_slots", "threads for questions", _each(lambda q: q.threads), labels=("queue",))
-        self.counter(
-            "joulemap_queue_refused_total", "refused: the queue was full", _each(lambda q: q.refused), labels=("queue",)
-        )
-        self.counter(
-            "joulemap_queue_given_up_total", "the client had gone", _each(lambda q: q.given_up), labels=("queue",)
-        )
+        self.gauge("joulemap_queue_waiting", "questions that wait", _each("waiting"), labels=labels)
+        self.gauge("joulemap_queue_running", "questions on a thread", _each("running"), labels=labels)
+        self.gauge("joulemap_queue_slots", "threads for questions", _each("threads"), labels=labels)
+        self.counter("joulemap_queue_refused_total", "refused: the queue was full", _each("refused"), labels=labels)
+        self.counter("joulemap_queue_given_up_total", "the client had gone", _each("given_up"), labels=labels)
 
     def saw_request(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request that was answered."""

@@ -7,13 +7,13 @@ import random
 import re
 import time
 
+from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from joulemap.model.errors import BusyError
 from joulemap.service.http.logs import ACCESS, REQUEST_ID
 from joulemap.service.http.metrics import Metrics
-from joulemap.service.http.problem_answers import response
-from joulemap.service.problems import problem_of
+from joulemap.service.http.middleware import Middleware, refuse
 
 _ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _METHODS = {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"}
@@ -22,16 +22,14 @@ _BACK_S = 10.0  # until a service that was stopped answers again
 _NO_ANSWER = 499  # as nginx logs a request whose client closed the connection
 
 
-class Observed:
+class Observed(Middleware):
     """Gives each request an id, that of its header X-Request-ID where it has a good one; counts it and logs it."""
 
     def __init__(self, app: ASGIApp, *, metrics: Metrics) -> None:
-        self._app, self._metrics = app, metrics
+        super().__init__(app)
+        self._metrics = metrics
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
+    async def request(self, scope: Scope, receive: Receive, send: Send) -> None:
         given = dict(scope["headers"]).get(b"x-request-id", b"").decode("latin-1")
         request_id = given if _ID.fullmatch(given) else f"{random.getrandbits(64):016x}"
         scope.setdefault("state", {})["request_id"] = request_id
@@ -41,6 +39,7 @@ class Observed:
             nonlocal status, size
             if message["type"] == "http.response.start":
                 status = message["status"]
+                MutableHeaders(scope=message)["X-Request-ID"] = request_id
             size += len(message.get("body", b""))
             await send(message)
 
@@ -50,7 +49,7 @@ class Observed:
         except asyncio.CancelledError:  # by the server, which stops
             if status == _NO_ANSWER:
                 stops = BusyError("the service stops: ask again when it is back", retry_after_s=_BACK_S)
-                await response(problem_of(stops, request_id))(scope, receive, _counted)
+                await refuse(stops, scope, receive, _counted)
         finally:
             self._saw(scope, status, size, time.perf_counter() - began)
             REQUEST_ID.reset(token)

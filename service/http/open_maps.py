@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from joulemap.model.errors import JoulemapError, NotFoundError
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route_planner import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
@@ -35,10 +36,11 @@ class OpenMaps:
         *,
         size: int,
         place: Callable[[str], Path],
+        status: Callable[[str], str | None],
         most_cells: int,
         memory_bytes: int,
     ) -> None:
-        self._load = load
+        self._load, self._status = load, status
         self._place, self._most_cells, self._memory = place, most_cells, memory_bytes
         self._size = size
         self._lock = threading.Lock()
@@ -63,14 +65,24 @@ class OpenMaps:
     def planner(self, costmap_id: str) -> RoutePlanner:
         """Return the planner of a cost map, which other threads may use at the same time."""
         entry = self._entry(costmap_id)
-        with entry.loading:
+        with entry.loading, self._unless_deleted(costmap_id):
             return self._loaded(entry, costmap_id)
+
+    @contextmanager
+    def _unless_deleted(self, costmap_id: str) -> Iterator[None]:
+        """Raise NotFoundError where what cannot be read of a cost map was deleted meanwhile: it is not damaged then."""
+        try:
+            yield
+        except (JoulemapError, OSError) as error:
+            if self._status(costmap_id) is None:
+                raise NotFoundError(f"there is no cost map {costmap_id!r}", costmap_id=costmap_id) from error
+            raise
 
     @contextmanager
     def for_routes(self, costmap_id: str) -> Iterator[RoutePlanner | StoredPlanner]:
         """Lend a planner of a cost map; of a large map, to this thread alone, one that leaves the map on disk."""
         entry = self._entry(costmap_id)
-        with entry.loading:
+        with entry.loading, self._unless_deleted(costmap_id):
             if entry.planner is None and entry.stored is None:
                 stored = StoredPlanner(self._place(costmap_id), memory_bytes=self._memory)
                 if stored.stored.cells > self._most_cells:
@@ -81,7 +93,7 @@ class OpenMaps:
             yield entry.planner
             return
         assert entry.stored is not None
-        with entry.searching:
+        with entry.searching, self._unless_deleted(costmap_id):
             yield entry.stored
 
     @contextmanager
@@ -89,7 +101,7 @@ class OpenMaps:
         """Lend a planner of a cost map to price given paths, which does not wait for searches."""
         entry = self._entry(costmap_id)
         if entry.planner is None:
-            with entry.pricing:
+            with entry.pricing, self._unless_deleted(costmap_id):
                 if entry.pricer is None:
                     entry.pricer = StoredPlanner(self._place(costmap_id), memory_bytes=self._memory)
                 if entry.pricer.stored.cells > self._most_cells:

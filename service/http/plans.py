@@ -3,43 +3,28 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
+from joulemap.service.hosting.priority import LONG_NICE
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.http.open_maps import OpenMaps
 from joulemap.service.http.work_queue import Observe, WorkQueue
-from joulemap.service.priority import LONG_NICE
-from joulemap.service.settings import Settings
 
-PLANS, PRICES = "plans", "prices"
 _PRICE_THREADS = 4
 """More than cores: one may be loading its cost map."""
 
 
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def queues(settings: Settings, maps: OpenMaps, observe: Observe) -> list[WorkQueue]:
+    """Return the queue of plans: routes, tours, energy fields, pictures, files of cost maps; and that of prices.
 
-
-def plan_queue(settings: Settings, maps: OpenMaps, observe: Observe) -> WorkQueue:
-    """Return the queue of routes, tours, energy fields, pictures and files of cost maps."""
-    return WorkQueue(
-        PLANS,
-        threads=settings.plan_threads or cores(),
-        per_group=settings.plan_queue_size,
-        overall=4 * settings.plan_queue_size,
-        share_cores=cores(),
-        nice=LONG_NICE,
-        one_at_a_time=lambda costmap_id: not maps.is_open(costmap_id),
-        observe=observe,
-    )
-
-
-def price_queue(settings: Settings, maps: OpenMaps, observe: Observe) -> WorkQueue:
-    """Return the queue of questions that need no search: verdicts for given paths, prices at a place."""
-    return WorkQueue(
-        PRICES,
-        threads=_PRICE_THREADS,
-        per_group=settings.plan_queue_size,
-        overall=4 * settings.plan_queue_size,
-        one_at_a_time=lambda costmap_id: not maps.is_open(costmap_id),
-        observe=observe,
-    )
+    Prices are questions that need no search: verdicts for given paths, prices at a place.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    how: dict[str, Any] = {
+        "per_group": settings.plan_queue_size,
+        "overall": 4 * settings.plan_queue_size,
+        "one_at_a_time": lambda costmap_id: not maps.is_open(costmap_id),
+        "observe": observe,
+    }
+    plans = WorkQueue("plans", threads=settings.plan_threads or cores, share_cores=cores, nice=LONG_NICE, **how)
+    return [plans, WorkQueue("prices", threads=_PRICE_THREADS, **how)]

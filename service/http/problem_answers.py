@@ -16,6 +16,7 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.exc import TimeoutError as SQLAlchemyTimeout
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.routing import compile_path
 
 from joulemap.model.errors import BusyError, DamagedError, JoulemapError, StorageFullError
 from joulemap.service.problems import MEDIA_TYPE, from_outside, problem, problem_of
@@ -23,6 +24,14 @@ from joulemap.service.schemas.findings import findings
 
 _LOG = logging.getLogger("joulemap.service")
 _CLOSED = 499  # as nginx logs a request whose client closed the connection; nobody reads it
+
+
+class WhileReading(HTTPException):
+    """An error of the tree, raised where FastAPI reads a body: it lets no other kind pass."""
+
+    def __init__(self, error: JoulemapError) -> None:
+        super().__init__(500)
+        self.error = error
 
 
 def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> JSONResponse:
@@ -37,11 +46,18 @@ def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) 
 
 
 def request_id(request: Request) -> str | None:
-    """Return the id that `joulemap.service.http.limits` gave the request.
+    """Return the id that `joulemap.service.http.observed` gave the request.
 
     Result: None where the middleware is not installed.
     """
     return request.scope.get("state", {}).get("request_id")
+
+
+def _allowed(paths: Mapping[str, Mapping[str, Any]], path: str) -> dict[str, str]:
+    """The header `Allow` with all methods of a path; a route knows its own alone."""
+    known = (methods for template, methods in paths.items() if compile_path(template)[0].match(path))
+    methods = next(known, None)
+    return {} if methods is None else {"Allow": ", ".join(sorted(map(str.upper, methods)))}
 
 
 def install(app: FastAPI) -> None:
@@ -65,10 +81,15 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def _http(request: Request, error: HTTPException) -> JSONResponse:
+        if isinstance(error, WhileReading):
+            return response(problem_of(error.error, request_id(request)))
         title = HTTPStatus(error.status_code).phrase
         code = re.sub(r"[^a-z]+", "_", title.lower())
         detail = f"{request.method} {request.url.path[:200]}: {error.detail}"
-        return response(problem(error.status_code, code, title, detail, request_id(request)), error.headers)
+        headers = dict(error.headers or {})
+        if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+            headers |= _allowed(app.openapi()["paths"], request.url.path)
+        return response(problem(error.status_code, code, title, detail, request_id(request)), headers)
 
     @app.exception_handler(ClientDisconnect)
     async def _gone(request: Request, error: ClientDisconnect) -> Response:

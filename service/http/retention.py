@@ -14,7 +14,7 @@ from typing import Any
 import anyio
 from sqlalchemy.exc import SQLAlchemyError
 
-from joulemap.service.settings import Settings
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.storage.retention import forget_ages, measure, note_uses, remove_unused
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import HeightmapRow, RunsRow

@@ -7,9 +7,9 @@ import threading
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from joulemap.service.priority import JOB_NICE, be_nice
+from joulemap.service.hosting.priority import JOB_NICE, be_nice
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.schemas.kept import ANSWERS
-from joulemap.service.settings import Settings
 from joulemap.service.storage.check import Check
 from joulemap.service.storage.store import Store
 

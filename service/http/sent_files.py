@@ -12,11 +12,11 @@ import anyio
 
 from joulemap.model.errors import InputError
 from joulemap.model.runs.files import same_content
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.intake.limits import RunLimits, RunReading
 from joulemap.service.intake.readers import Readers
 from joulemap.service.intake.runs import check_together
-from joulemap.service.settings import Settings
-from joulemap.service.storage.runs import safe_name
+from joulemap.service.storage.sent import safe_name
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import HeightmapRow, RunsRow
 
@@ -106,11 +106,5 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 def _run_limits(settings: Settings) -> RunLimits:
-    return RunLimits(
-        mb=settings.max_run_mb,
-        rows=settings.max_run_rows,
-        columns=settings.max_run_columns,
-        cells=settings.max_run_cells,
-        text_mb=settings.max_run_text_mb,
-        km=settings.max_run_km,
-    )
+    table = {name: getattr(settings, f"max_run_{name}") for name in ("rows", "columns", "cells", "text_mb")}
+    return RunLimits(settings.max_run_mb, settings.max_run_km, table)

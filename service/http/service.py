@@ -11,17 +11,18 @@ from importlib.metadata import version
 
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import BusyError, JoulemapError, NotFoundError
-from joulemap.planner.route_planner import RoutePlanner
+from joulemap.service.hosting.memory import give_back_freed_memory
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.http.access_at_once import AtOnce
-from joulemap.service.http.connections import Connections
 from joulemap.service.http.driving import Drives, look_at_drives
 from joulemap.service.http.health import NOT_YET, OK, Health
 from joulemap.service.http.job_events import JobEvents, look_into
+from joulemap.service.http.kept_answers import KeptAnswers
 from joulemap.service.http.kernels import Kernels
 from joulemap.service.http.made import Made
 from joulemap.service.http.metrics import Metrics
 from joulemap.service.http.open_maps import OpenMaps
-from joulemap.service.http.plans import plan_queue, price_queue
+from joulemap.service.http.plans import queues
 from joulemap.service.http.retention import Retention
 from joulemap.service.http.scheduled_check import ScheduledCheck
 from joulemap.service.http.sent_files import SentFiles
@@ -29,9 +30,7 @@ from joulemap.service.http.watched import watch
 from joulemap.service.intake.limits import ReadLimits
 from joulemap.service.intake.readers import Readers
 from joulemap.service.jobs.engine import Jobs
-from joulemap.service.memory import give_back_freed_memory
 from joulemap.service.models import find_predictor
-from joulemap.service.settings import Settings
 from joulemap.service.storage.owners import Caller
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import COSTMAP, CalibrationRow, CostmapRow, kind_of
@@ -46,6 +45,7 @@ class Service(SentFiles, Made):
         super().__init__()
         self.settings = settings
         self.version = version("joulemap")
+        self._served = not settings.resolved_database_url.startswith("sqlite")
         self.store = Store(
             settings.data_dir,
             settings.resolved_database_url,
@@ -59,16 +59,16 @@ class Service(SentFiles, Made):
             self.store.load_lattice,
             size=settings.open_costmaps,
             place=self.store.lattice_folder,
+            status=self.store.status,
             most_cells=settings.max_cells_in_memory,
             memory_bytes=int(1e9 * settings.route_memory_gb),
         )
         self.metrics, self.health = Metrics(), Health()
-        self.queues = [make(settings, self.maps, self.metrics.saw_work) for make in (plan_queue, price_queue)]
+        self.queues = queues(settings, self.maps, self.metrics.saw_work)
         self.plans, self.prices = (queue.of(None) for queue in self.queues)
         self.job_events = JobEvents(look_into(self.store))
         self.drive_events = JobEvents(look_at_drives(self.store))
-        self.drives = Drives(self.maps)
-        self.connections = Connections(settings.max_connections, stalled_s=settings.stalled_s, on_stop=self._end_events)
+        self.drives, self.answers = Drives(self.maps), KeptAnswers()
         self.answered = AtOnce("connections", settings.most_client_connections, "JOULEMAP_CLIENT_CONNECTIONS")
         self.streams = AtOnce("event streams", settings.most_client_streams, "JOULEMAP_CLIENT_STREAMS")
         watch(settings, self.store, health=self.health, metrics=self.metrics, maps=self.maps, queues=self.queues)
@@ -129,6 +129,7 @@ class Service(SentFiles, Made):
         """Stop the workers and close the store."""
         self.health.stop()
         self.check.stop()
+        self.kernels.stop()
         self.jobs.stop()
         self.readers.close()
         if tempfile.tempdir == self._scratch:
@@ -149,10 +150,10 @@ class Service(SentFiles, Made):
 
         Result: False for SQLite, which is a file and answers or fails at once.
         """
-        served = not self.settings.resolved_database_url.startswith("sqlite")
-        return served and self.health.results()["database"] not in (OK, NOT_YET)
+        return self._served and self.health.results()["database"] not in (OK, NOT_YET)
 
-    def _end_events(self) -> None:
+    def end_events(self) -> None:
+        """End all streams of events, because the server stops."""
         self.job_events.end()
         self.drive_events.end()
 
@@ -166,8 +167,7 @@ class Service(SentFiles, Made):
 
         def _open() -> None:
             with suppress(JoulemapError), self.maps.for_routes(job_id) as planner:
-                if isinstance(planner, RoutePlanner):
-                    planner.prepare()
+                planner.prepare()
             try:
                 self.store.costmap(job_id)
             except NotFoundError:  # it was deleted before it could be noted as done

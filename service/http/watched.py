@@ -11,12 +11,12 @@ from typing import Any
 from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.http.health import OK, Health, disk_check
 from joulemap.service.http.metrics import Metrics
 from joulemap.service.http.open_maps import OpenMaps
 from joulemap.service.http.work_queue import WorkQueue
-from joulemap.service.settings import Settings
-from joulemap.service.storage.sizes import bytes_of
+from joulemap.service.storage.files import bytes_of
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import JOBS, WORDS
 

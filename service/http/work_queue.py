@@ -14,8 +14,8 @@ import numba
 
 from joulemap.model.errors import BusyError
 from joulemap.planner.grid.stopping import Flag, new_flag, stoppable
-from joulemap.service.fair_slots import FairSlots, Owner, Slot
-from joulemap.service.priority import be_nice
+from joulemap.service.hosting.fair_slots import FairSlots, Owner, Slot
+from joulemap.service.hosting.priority import be_nice
 
 Result = TypeVar("Result")
 Observe = Callable[[str, float, float], None]

@@ -34,6 +34,10 @@ def prepared(task: str) -> Callable[..., dict[str, Any]]:
 
         maps.load_gdal()
         return maps.read_map
+    if task == "trial":
+        from joulemap.service.intake import trial
+
+        return trial.try_run
     from joulemap.service.intake import runs
 
     runs.load_kernels()
@@ -48,7 +52,7 @@ def read(task: str, arguments: str) -> str:
     tempfile.tempdir = given.pop("scratch", None)
     name = str(given.get("name", "the file"))
     try:
-        return json.dumps({"result": function(guard=_Guard(limits), **given)}, allow_nan=False)
+        return json.dumps({"result": function(guard=Guard(limits), **given)}, allow_nan=False)
     except MemoryError:
         error: JoulemapError = TooLargeError(
             f"{name} needs more than {limits.memory_mb:g} MB of memory to be read: send a smaller one",
@@ -66,7 +70,7 @@ def read(task: str, arguments: str) -> str:
     return json.dumps({"error": {"code": error.code, "message": error.message, "context": error.context}}, default=str)
 
 
-class _Guard:
+class Guard:
     """Limits that hold while a block of code runs."""
 
     def __init__(self, limits: ReadLimits) -> None:
@@ -74,6 +78,7 @@ class _Guard:
 
     @contextmanager
     def reading(self, path: Path) -> Iterator[None]:
+        """For reading a file."""
         with limited(self._limits.of_file(path.stat().st_size)):
             yield
 

@@ -30,7 +30,7 @@ def import_logs(
     report: Callable[[float], None] = lambda share: None,
 ) -> list[dict[str, Any]]:
     """Read logs and write each as a CSV file that `--runs` takes. `out`: folder to write to, None writes nothing."""
-    limits = RunLimits(_LARGEST_MB, LIMITS.rows, LIMITS.columns, LIMITS.cells, LIMITS.text_mb, _LONGEST_KM)
+    limits = RunLimits(_LARGEST_MB, _LONGEST_KM, asdict(LIMITS))
     asked = {
         "limits_of_run": asdict(limits),
         "reading": reading.as_dict(),

@@ -45,20 +45,15 @@ class RunLimits:
     ----------
     mb : float
         Size of its file [1e6 bytes].
-    rows, columns, cells : int
-        Of its table.
-    text_mb : float
-        Memory of its columns of text [1e6 bytes].
     km : float
         Length that was driven [km].
+    table : mapping of str to int or float
+        Of its table: the fields of `TableLimits`.
     """
 
     mb: float
-    rows: int
-    columns: int
-    cells: int
-    text_mb: float
     km: float
+    table: Mapping[str, Any]
 
 
 @dataclass(frozen=True)

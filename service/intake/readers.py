@@ -25,7 +25,7 @@ from typing import Any
 import anyio
 
 from joulemap.model.errors import BusyError, TooLargeError, error_of
-from joulemap.service.fair_slots import FairSlots, Owner
+from joulemap.service.hosting.fair_slots import FairSlots, Owner
 from joulemap.service.intake.limits import ReadLimits
 
 _RETRY_S = 5.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +13,17 @@ import numpy as np
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.logs import read_log
-from joulemap.model.runs.odometry import Odometry, odometry_run
-from joulemap.model.runs.plausible import implausible
-from joulemap.model.runs.reader import Run, run_of
+from joulemap.model.runs.odometry import Odometry
+from joulemap.model.runs.plausible import implausible, of_length
+from joulemap.model.runs.reader import run_of, run_of_table
 from joulemap.model.runs.rolling import cut_travel, rolled_m
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.runs.table_columns import Table
 from joulemap.model.runs.writers import write_csv
 from joulemap.model.terrain.coordinate_systems import utm_zone
+from joulemap.service.intake.guard import Guard
 from joulemap.service.intake.limits import RunLimits, RunReading
-from joulemap.service.intake.maps import Guard
 
 _PLAIN = "CSV text"  # the format in which logs are written
 _SHOWN = ("t", "x", "y", "lat", "lon", "z", "distance", "speed", "voltage", "current", "power", "soc")
@@ -94,15 +95,14 @@ def read_sent_run(
         )
     with guard.reading(file):
         repairs: dict[str, int] = {}
-        table = read_log(file, name, repairs, limits=_table_limits(limits), mapping=asked.mapping)
+        table = read_log(file, name, repairs, limits=TableLimits(**limits.table), mapping=asked.mapping)
         if any_place and crs is None and "x" not in table.numbers:
             crs = _zone_of(table)
-        if asked.odometry is None:
-            # a table has its columns for itself: cleaning takes some out
-            run = run_of(dict(table.numbers), dict(table.texts), name=name, crs=crs, repairs=repairs)
-        else:
-            own = replace(table, numbers=dict(table.numbers), texts=dict(table.texts))
-            run = odometry_run(own, asked.odometry, name=name, repairs=repairs)
+        try:
+            run = run_of_table(table, name=name, crs=crs, repairs=repairs, odometry=asked.odometry)
+        except RunsError as error:  # who is asked for a column sees those that were recognised
+            error.context["reading"] = table.reading
+            raise
         found = _about(run, name, limits, asked)
         found |= {"format": table.format, "reading": table.reading, "written": False}
         found["confidence"] = table.confidence
@@ -138,10 +138,6 @@ def _track(run: Run) -> list[list[float | None]]:
     z = run.extras.get("z", np.full(len(run), np.nan))
     columns = (run.x[rows], run.y[rows], drawn[rows], z[rows])
     return [[v if np.isfinite(v) else None for v in values.tolist()] for values in columns]
-
-
-def _table_limits(limits: RunLimits) -> TableLimits:
-    return TableLimits(limits.rows, limits.columns, limits.cells, limits.text_mb)
 
 
 def _zone_of(table: Table) -> str | None:
@@ -208,7 +204,7 @@ def _about(run: Run, name: str, limits: RunLimits, asked: RunReading) -> dict[st
         "energy_std_j": spread,
         "unknown_seconds": run.unknown_s,
         "placed": run.placed and odometry is None,
-        "warnings": wrong,
+        "warnings": [*wrong, *of_length(run, None if odometry is not None else segments)],
     }
 
 
@@ -220,4 +216,4 @@ def load_kernels() -> None:
     every["x"][50], every["x"][90] = np.nan, 500.0
     cut_segments(run_of(dict(every), {}, name="warm-up"), charge=True)
     odometry = {key: values for key, values in every.items() if key not in ("x", "y")}
-    cut_travel(odometry_run(Table(odometry, {}), Odometry(1.0), name="warm-up", repairs={}), charge=True)
+    cut_travel(run_of_table(Table(odometry, {}), odometry=Odometry(1.0), name="warm-up"), charge=True)

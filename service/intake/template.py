@@ -19,8 +19,8 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from joulemap.service.hosting.priority import LONG_NICE, be_nice
 from joulemap.service.intake.guard import prepared, read
-from joulemap.service.priority import LONG_NICE, be_nice
 
 BEGUN = b"\n"
 """What a process sends first. An answer without it means that no process was there to read."""

@@ -12,12 +12,14 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from joulemap.model.errors import JoulemapError, RunsError, TooLargeError, error_of
+from joulemap.model.errors import RunsError, TooLargeError, error_of
 from joulemap.model.runs.files import distinct_names
 from joulemap.model.runs.logs import format_of, read_log
-from joulemap.service.intake.guard import limited
+from joulemap.service.intake.guard import Guard, read
 from joulemap.service.intake.limits import ReadLimits
 
 LIMITS = ReadLimits(seconds=300.0, memory_mb=4_000.0)
@@ -35,7 +37,7 @@ def refuse_deadly(
     asked = {
         "files": [(str(file.resolve()), name) for file, name, _ in named],
         "mapping": dict(mapping or {}),
-        "limits": [limits.seconds, limits.memory_mb],
+        "limits": asdict(limits),
     }
     with tempfile.TemporaryDirectory(prefix="joulemap-") as scratch:
         tried = subprocess.run(
@@ -48,8 +50,8 @@ def refuse_deadly(
         )
     said = [json.loads(line) for line in tried.stdout.splitlines()]
     for answer in said:
-        if answer is not None:
-            raise error_of(**answer)
+        if "error" in answer:
+            raise error_of(**answer["error"])
     if tried.returncode < 0:
         _, name, kind = named[len(said)]
         cause = signal.Signals(-tried.returncode)
@@ -63,25 +65,17 @@ def refuse_deadly(
 
 
 def _main() -> None:
-    """Print a line for each file that was read or refused: null, or the error."""
+    """Print a line for each file that was read or refused, as `guard.read` answers."""
     asked = json.load(sys.stdin)
-    limits = ReadLimits(*asked["limits"])
-    for file, name in asked["files"]:
-        print(json.dumps(_trial(Path(file), name, asked["mapping"], limits), default=str), flush=True)
+    for file, name in asked.pop("files"):
+        print(read("trial", json.dumps({"path": file, "name": name, **asked})), flush=True)
 
 
-def _trial(file: Path, name: str, mapping: Mapping[str, str], limits: ReadLimits) -> dict[str, object] | None:
-    try:
-        with limited(limits.of_file(file.stat().st_size)):
-            read_log(file, name, {}, mapping=mapping)
-    except JoulemapError as error:
-        return {"code": error.code, "message": error.message, "context": error.context}
-    except MemoryError:
-        words = (
-            f"run {name} needs more than {limits.memory_mb:g} MB of memory to be read: it is corrupt, or much larger "
-        )
-        return {"code": TooLargeError.code, "message": f"{words}inside than outside", "context": {"run": name}}
-    return None
+def try_run(*, guard: Guard, path: str, name: str, mapping: dict[str, str]) -> dict[str, Any]:
+    """Read a log, and keep nothing of it."""
+    with guard.reading(Path(path)):
+        read_log(Path(path), name, {}, mapping=mapping)
+    return {}
 
 
 if __name__ == "__main__":

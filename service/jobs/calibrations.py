@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.robot import Robot
 from joulemap.service.jobs.costmaps import Report
-from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.stats import noise_of_stats
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.tables import named_test_runs
+from joulemap.service.storage.tables import CalibrationRow, HeightmapRow, named_test_runs
+from joulemap.service.storage.vault import ObjectVault
 from joulemap.service.work.calibrations import calibrate
 from joulemap.service.work.vaulted import calibrate as calibrate_vaulted
 
@@ -34,12 +34,14 @@ def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, A
     robot = {key: value for key, value in asked["robot"].items() if value != usual.get(key)}
     body = {"heightmap_id": ground or "HEIGHTMAP", "model": row.id} | ({"robot": robot} if robot else {})
     model = asked["model"]
+    if ground and not isinstance(vault, ObjectVault):  # of which workers fetch what they use
+        store.intact_heightmap(ground)
     return {
         "id": row.id,
-        "folder": str(store.calibration_folder(row.id).resolve()),
+        "folder": str(store.path(CalibrationRow, row.id).resolve()),
         "calibrated": str((models_dir / row.id).resolve()),
         "model": model if model in MODEL_NAMES else str((models_dir / model).resolve()),
-        "heightmap": str(store.heightmap_path(ground).resolve()) if ground else None,
+        "heightmap": str(store.path(HeightmapRow, ground).resolve()) if ground else None,
         "heightmap_name": store.heightmap(ground).name if ground else None,
         "noise": noise_of_stats(store.heightmap(ground).stats) if ground else {},
         "odometry": asked.get("odometry"),

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import DamagedError
-from joulemap.service.storage.heightmaps import layers_asked
-from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.stats import noise_of_stats
 from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import HeightmapRow, named_rasters
+from joulemap.service.storage.vault import ObjectVault
 from joulemap.service.work import tiles, vaulted
 from joulemap.service.work.tiles import MapOrder
 from joulemap.service.work.vaulted import VaultedOrder
@@ -33,8 +33,8 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
     survey = store.heightmap(row.heightmap_id)
     order = MapOrder(
         place=store.lattice_path(row.id).resolve(),
-        heightmap=store.heightmap_path(row.heightmap_id).resolve(),
-        reading={"filename": survey.name, **noise_of_stats(survey.stats), **layers_asked(asked)},
+        heightmap=store.path(HeightmapRow, row.heightmap_id).resolve(),
+        reading={"filename": survey.name, **noise_of_stats(survey.stats), **store.layers_asked(asked)},
         robot=asked["robot"],
         model=asked["model"],
         spacing_m=asked["spacing_m"],
@@ -44,6 +44,8 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
     store.begin(costmap_id)
     if isinstance(store.vault, ObjectVault):  # what other machines have finished is no file here
         return VaultedOrder(store.vault.url, store.folder.resolve(), order)
+    for each in (row.heightmap_id, *named_rasters(asked).values()):
+        store.intact_heightmap(each)
     return replace(order, finished=tuple(_intact(store, store.alike(row))))
 
 

@@ -11,7 +11,7 @@ import errno
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -20,17 +20,31 @@ from sqlalchemy.exc import OperationalError
 
 from joulemap.model.errors import InputError
 from joulemap.service.cluster.attendance import Attendance
+from joulemap.service.hosting.priority import JOB_NICE
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.jobs import calibrations, costmaps
-from joulemap.service.jobs.turns import turns_of
-from joulemap.service.priority import JOB_NICE
 from joulemap.service.problems import problem_of
-from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import CALIBRATION, kind_of
 from joulemap.service.work.calibrations import Refused
 
-if TYPE_CHECKING:  # which takes half a second to load
+if TYPE_CHECKING:
     from distributed import Client
+
+
+def turns_of(wanted: Mapping[str, str | None], before: Mapping[str, int]) -> dict[str, int]:
+    """Return the turn of each job, lower ones first: an owner's jobs one after another, beside those of others.
+
+    `wanted`: owner by the id of a job, oldest first; `before`: the turns of the latest call. A job keeps its turn.
+    """
+    turns = {job_id: turn for job_id, turn in before.items() if job_id in wanted}
+    for job_id, owner in wanted.items():
+        if job_id not in turns:
+            now = min(turns.values(), default=0)
+            latest = max((turn for other, turn in turns.items() if wanted[other] == owner), default=now - 1)
+            turns[job_id] = max(now, latest + 1)
+    return turns
+
 
 _LOG = logging.getLogger("joulemap.jobs")
 _LOOK_S = 2.0  # between looks for what another service added, deleted or left behind

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from joulemap.model.errors import InputError
-from joulemap.service.coordinates import PlaceLike
-from joulemap.service.exports.routes import route_file, route_format_of
+from joulemap.service.exports.formats import format_of
+from joulemap.service.exports.routes import ROUTE_FORMATS, RouteFile
 from joulemap.service.exports.track import track_of_drive
-from joulemap.service.library.heightmaps import GroundLike, RobotLike, robot_of
-from joulemap.service.library.run_files import RunsLike, find_run_files
-from joulemap.service.library.sites import SiteLike, sites_given
+from joulemap.service.library.heightmaps import GroundLike, RobotLike
+from joulemap.service.library.run_files import RunsLike
+from joulemap.service.library.sites import SiteLike
 from joulemap.service.models import CALIBRATED_FOLDER
+from joulemap.service.places.coordinates import PlaceLike
 from joulemap.service.questions.asking import asks
 from joulemap.service.questions.calibrating import LocalCalibration, ask
 
 Point = PlaceLike
-"""World x, y [m] in the CRS of the map; or latitude, longitude, see `joulemap.service.coordinates.world_point`."""
+"""World x, y [m] in the CRS of the map; or latitude, longitude, see `service.places.coordinates.world_point`."""
 REPORT_JSON, REPORT_HTML = "report.json", "report.html"
 """What `calibrate` writes beside the calibrated model."""
 
@@ -84,8 +84,8 @@ class CalibrationResult:
             If no drive is suggested, its corners are no places of a map, or the format does not go with the map.
         """
         file = Path(path)
-        chosen, track = route_format_of(file, format), track_of_drive(self.report["next_drive"])
-        file.write_bytes(route_file(track, chosen, coordinates=coordinates))
+        chosen, track = format_of(ROUTE_FORMATS, file, format), track_of_drive(self.report["next_drive"])
+        file.write_bytes(RouteFile(chosen, coordinates).written(track))
         return file
 
     def _lines(self) -> list[str]:
@@ -166,27 +166,16 @@ def calibrate(
         If only one of `start` and `goal` is given, if the sites are none or have several robots, or if all runs belong
         to one campaign.
     """
-    from joulemap.model.runs.calibration_runs import read_calibration_runs
     from joulemap.model.runs.odometry import Odometry
-    from joulemap.model.runs.sites import with_test_files
-    from joulemap.model.runs.without_map import sites_without_map
+    from joulemap.service.library.sites import read_compared
     from joulemap.service.loop.report_page import report_page
 
-    baseline, test = find_run_files(baseline_runs), find_run_files(test_runs)
-    if baseline and runs is None:
-        raise InputError("`baseline_runs` go with `runs`; in a campaign file a site has the key `baseline`")
-    if ground is None and runs is not None and sites is None and campaign is None:
-        how = None if wanted.odometry_track_m is None else Odometry(wanted.odometry_track_m)
-        files, driver = find_run_files(runs), robot_of(robot)
-        given = sites_without_map(files, driver, baseline_files=baseline, test_files=test, odometry=how)
-    elif wanted.odometry_track_m is not None:
-        raise InputError("`odometry_track_m` goes with `runs` without positions, which belong to no heightmap")
-    else:
-        given = sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot)
-        if baseline:
-            given = [replace(given[0], baseline_files=tuple(baseline))]
-        given = with_test_files(given, test)
-    read = read_calibration_runs(given)
+    read = read_compared(
+        {"ground": ground, "runs": runs, "sites": sites, "campaign": campaign, "robot": robot},
+        baseline_runs=baseline_runs,
+        test_runs=test_runs,
+        odometry=None if wanted.odometry_track_m is None else Odometry(wanted.odometry_track_m),
+    )
     folder = Path(out)
     made = ask(wanted.model, read, wanted, out=folder, progress=progress)
     text = json.dumps(made.document, indent=2, allow_nan=False) + "\n"

@@ -7,9 +7,9 @@ from typing import Any
 
 from joulemap.planner.areas.energy_map import EnergyMap
 from joulemap.planner.areas.reach_map import ReachMap
-from joulemap.service.homeward import Homeward
+from joulemap.service.analysis.homeward import Homeward
+from joulemap.service.analysis.point_costs import PointCosts
 from joulemap.service.library.costmap_base import CostMapBase
-from joulemap.service.point_costs import PointCosts
 from joulemap.service.questions import at, field, homeward, reach
 from joulemap.service.questions.asking import asks
 from joulemap.service.questions.field import FieldRequest

@@ -8,14 +8,10 @@ from typing import Any
 from joulemap.model.robot import Robot
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route_planner import RoutePlanner
-from joulemap.service.coordinates import PlaceLike
+from joulemap.service.places.coordinates import PlaceLike
 
 Point = PlaceLike
-"""World x, y [m] in the CRS of the map; or latitude, longitude, see `joulemap.service.coordinates.world_point`."""
-
-
-AreasLike = Any
-"""Corners of each area, polygons with `__geo_interface__`, or a boolean mask: see `joulemap.service.areas_given`."""
+"""World x, y [m] in the CRS of the map; or latitude, longitude, see `service.places.coordinates.world_point`."""
 
 
 class CostMapBase:

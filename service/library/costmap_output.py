@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import ConflictError
 from joulemap.planner.lattice.io import save_lattice
-from joulemap.service.cost_lattices import summarise
+from joulemap.service.analysis.cost_lattices import summarise
 from joulemap.service.exports.maps import save_map
 from joulemap.service.library.costmap_base import CostMapBase
 from joulemap.service.library.html import html_table, text_table
@@ -43,8 +44,8 @@ class CostMapOutput(CostMapBase):
         InputError
             On another view, or without a heading where one is needed.
         """
-        from joulemap.service.map_drawing import draw_costmap
-        from joulemap.service.map_style import new_axes
+        from joulemap.service.render.map_drawing import draw_costmap
+        from joulemap.service.render.map_style import new_axes
 
         ax = new_axes() if ax is None else ax
         view = view or ("mean" if heading_deg is None else "heading")
@@ -110,7 +111,7 @@ class CostMapOutput(CostMapBase):
         """
         return self.export(path, format="geotiff")
 
-    def export(self, path: str | Path, *, format: str | None = None) -> Path:
+    def export(self, path: str | Path, *, format: str | None = None, origin: Sequence[float] | None = None) -> Path:
         """Write the map for another program; the name says for which, like site.yaml (Nav2) or site.cog.tif.
 
         Parameters
@@ -119,6 +120,8 @@ class CostMapOutput(CostMapBase):
             The file; one that is there is replaced. A Nav2 map has its image beside it.
         format : str, optional
             A name of `joulemap.service.exports.maps.MAP_FORMATS`; by default the suffix decides.
+        origin : tuple of float, optional
+            Of Nav2 formats: world x, y of the place that gets the coordinates 0, 0 [m].
 
         Returns
         -------
@@ -128,9 +131,9 @@ class CostMapOutput(CostMapBase):
         Raises
         ------
         InputError
-            If the format is unknown.
+            If the format is unknown, or has an origin of its own.
         """
-        return save_map(self._whole, path, format)[0]
+        return save_map(self._whole, path, format, origin=origin)[0]
 
     def summary(self) -> dict[str, Any]:
         """Return least, mean and greatest price [J/m], and the share that is blocked, by reason.

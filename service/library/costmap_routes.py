@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING, Any
 from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
 from joulemap.planner.route import Route
+from joulemap.service.analysis.feasibility import assess, judge_routes
 from joulemap.service.exports.clearance import price_given_path
-from joulemap.service.feasibility import assess, judge_routes
 from joulemap.service.library.costmap_base import CostMapBase, Point
 from joulemap.service.library.drive import Drive
 from joulemap.service.library.feasibility import Feasibility
 from joulemap.service.library.planned_route import PlannedRoute
 from joulemap.service.library.planned_tour import PlannedTour
 from joulemap.service.models import DEFAULT_MODEL, find_predictor
-from joulemap.service.places import Places
-from joulemap.service.questions import matrix, path, tour
+from joulemap.service.places.places import Places
+from joulemap.service.questions import charging, matrix, path, tour
 from joulemap.service.questions.asking import asks
+from joulemap.service.questions.charging import ChargedWay, ChargingRequest
 from joulemap.service.questions.drive import DriveRequest
 from joulemap.service.questions.given import battery_with, checked
 from joulemap.service.questions.matrix import EnergyMatrix, MatrixRequest
@@ -28,9 +29,9 @@ from joulemap.service.questions.speeds import SpeedsRequest
 from joulemap.service.questions.tour import TourRequest
 
 if TYPE_CHECKING:
+    from joulemap.service.analysis.speeds import Speeds
     from joulemap.service.library.heightmaps import GroundLike
     from joulemap.service.library.models import ModelLike
-    from joulemap.service.speeds import Speeds
 
 
 class RouteQuestions(CostMapBase):
@@ -113,6 +114,29 @@ class RouteQuestions(CostMapBase):
         """
         return matrix.ask(self.planner, wanted, progress=progress)
 
+    @asks(ChargingRequest)
+    def charging(self, wanted: ChargingRequest, *, progress: Callable[[float], None] | None = None) -> ChargedWay:
+        """Find the cheapest way that never falls below the reserve, charging where it may.
+
+        Parameters
+        ----------
+        wanted : ChargingRequest
+            Its fields are parameters of this method.
+        progress : callable, optional
+            Called with the share done, 0..1.
+
+        Returns
+        -------
+        ChargedWay
+            Its legs with what is charged before each; without legs, why there is no such way.
+
+        Raises
+        ------
+        PointError
+            If a place lies outside the map.
+        """
+        return charging.ask(self.planner, wanted, progress=progress)
+
     def feasibility(
         self,
         route: PlannedRoute | PlannedTour | Sequence[Point],
@@ -165,7 +189,7 @@ class RouteQuestions(CostMapBase):
             back = None
             if round_trip:
                 here, there = ((float(p[0]), float(p[1])) for p in (route.points[0], route.points[-1]))
-                back = self.planner.plan(there, here).route
+                back = self.planner.plan(there, here, self.planner.on_from(route.route)).route
             driven = [route.route] if back is None else [route.route, back]
             verdict, volts = judge_routes(self.lattice, driven, battery), self.robot.nominal_voltage_v
             return Feasibility(verdict, route.route, back, warnings, battery, volts)
@@ -245,9 +269,9 @@ class RouteQuestions(CostMapBase):
         if not isinstance(route, Route):
             route = price_given_path(self.lattice, Places(self.lattice.frame).path(list(route)))
         # readers and models load slowly, and most questions to a cost map need none
+        from joulemap.service.analysis.speeds import speeds_along
         from joulemap.service.library.heightmaps import ground_of
         from joulemap.service.library.models import model_folder
-        from joulemap.service.speeds import speeds_along
 
         made_of, predictor = ground_of(heightmap), find_predictor(model_folder(model))
         deadline_s = wanted.deadline_s

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import InputError
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.lattice.build import DEFAULT_HEADINGS
 from joulemap.planner.lattice.io import load_lattice
-from joulemap.planner.on_disk.tiled_search import DEFAULT_MEMORY
+from joulemap.planner.on_disk.tiled_table import DEFAULT_MEMORY
 from joulemap.planner.stored_planner import StoredPlanner
-from joulemap.service.cost_lattices import make_cost_lattice
+from joulemap.service.analysis.cost_lattices import make_cost_lattice
 from joulemap.service.library.costmap_areas import AreaQuestions
 from joulemap.service.library.costmap_output import CostMapOutput
 from joulemap.service.library.costmap_routes import RouteQuestions
 from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.questions.asking import asks
+from joulemap.service.questions.costmap import CostmapCells
 
 if TYPE_CHECKING:
     from joulemap.service.library.heightmaps import GroundLike, RobotLike
@@ -33,13 +34,13 @@ class CostMap(RouteQuestions, AreaQuestions, CostMapOutput):
     """
 
 
+@asks(CostmapCells, complete=False)
 def costmap(
     ground: GroundLike,
     robot: RobotLike = None,
     *,
     model: ModelLike = DEFAULT_MODEL,
-    spacing_m: float = 1.0,
-    headings: int = DEFAULT_HEADINGS,
+    wanted: dict[str, Any],
     progress: Callable[[float], None] | None = None,
 ) -> CostMap:
     """Make the cost map of a heightmap for a robot.
@@ -53,10 +54,8 @@ def costmap(
     model : str, Path or Model, optional
         "default" (the shipped network), "physics", the folder of a trained or calibrated model, or what `train` and
         `calibrate` return.
-    spacing_m : float, optional
-        Side of a cell [m].
-    headings : int, optional
-        Number of heading bins, 4 to 360.
+    wanted : CostmapCells
+        Its fields are parameters of this function.
     progress : callable, optional
         Called with the share done, 0..1.
 
@@ -84,15 +83,8 @@ def costmap(
     from joulemap.service.library.heightmaps import ground_of, robot_of
     from joulemap.service.library.models import model_folder
 
-    lattice = make_cost_lattice(
-        ground_of(ground),
-        robot_of(robot),
-        model=model_folder(model),
-        spacing_m=spacing_m,
-        headings=headings,
-        progress=progress,
-    )
-    return CostMap(lattice)
+    how = {**wanted, "model": model_folder(model), "progress": progress}
+    return CostMap(make_cost_lattice(ground_of(ground), robot_of(robot), **how))
 
 
 class StoredCostMap(CostMap):
@@ -129,7 +121,7 @@ class StoredCostMap(CostMap):
         return self.stored.lattice
 
     @property
-    def planner(self) -> StoredPlanner:  # type: ignore[override]
+    def planner(self) -> StoredPlanner:
         """The planner of this map."""
         return self.stored
 
@@ -170,5 +162,7 @@ def open_costmap(path: str | Path, *, memory_gb: float | None = None) -> CostMap
     ------
     InputError
         If the folder is no cost map.
+    NotFoundError
+        If there is no such folder.
     """
     return CostMap(load_lattice(path)) if memory_gb is None else StoredCostMap(path, memory_gb=memory_gb)

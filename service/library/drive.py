@@ -12,18 +12,23 @@ from joulemap.model.errors import InputError
 from joulemap.model.loop.drive_filter import Ahead
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Route
-from joulemap.planner.route_planner import RoutePlanner
-from joulemap.service.coordinates import world_point
 from joulemap.service.driving.ahead import check_length, check_points, metres_of, prior_of
+from joulemap.service.driving.charge import ChargeAt, charge_along
 from joulemap.service.driving.forecast import Forecast, forecast
 from joulemap.service.driving.tracking import Sample, Tracking
 from joulemap.service.driving.updated import BetterRoute, better_route, updated_lattice
 from joulemap.service.exports.clearance import price_given_path
+from joulemap.service.places.coordinates import world_point
+from joulemap.service.questions.asking import asks
+from joulemap.service.questions.drive import SampleIn
+from joulemap.service.questions.given import checked
 
 if TYPE_CHECKING:
     from joulemap.model.battery import Battery
-    from joulemap.service.coordinates import PlaceLike
     from joulemap.service.library.costmaps import CostMap
+
+_LEAST_S = 10.0
+"""Setting: no battery gives or takes all its energy in less time; cells of the highest rates need half a minute."""
 
 
 class Drive:
@@ -78,47 +83,31 @@ class Drive:
         check_points(points)  # before they are priced
         return cls(lattice, price_given_path(lattice, points), battery)
 
-    def update(
-        self,
-        time_s: float,
-        position: PlaceLike,
-        *,
-        power_w: float | None = None,
-        voltage_v: float | None = None,
-        current_a: float | None = None,
-        charge: float | None = None,
-    ) -> None:
+    @asks(SampleIn)
+    def update(self, wanted: SampleIn) -> None:
         """Take in a moment of the drive.
+
+        Samples may come in any order within five seconds; an older one, and one that was there already, is not used.
 
         Parameters
         ----------
-        time_s : float
-            When, by any clock that runs on [s]. Samples may come in any order within five seconds; an older one, and
-            one that was there already, is not used.
-        position : point
-            World x, y [m], or latitude, longitude.
-        power_w : float, optional
-            Power drawn from the battery [W].
-        voltage_v, current_a : float, optional
-            Voltage [V] and current [A], in place of the power.
-        charge : float, optional
-            State of charge as the battery says it, 0..1. Without it, that of the start less what was used.
+        wanted : SampleIn
+            Its fields are parameters of this method.
 
         Raises
         ------
         InputError
-            If a value is missing or not finite, or the sample comes more than an hour after the one before.
+            If a value is missing or not finite, or the power is more than any battery of that capacity has, or the
+            sample comes more than an hour after the one before.
         """
-        self.tracking.add(
-            [self._sample(time_s, position, power_w=power_w, voltage_v=voltage_v, current_a=current_a, charge=charge)]
-        )
+        self.take([wanted])
 
-    def take(self, samples: Iterable[Mapping[str, Any]]) -> None:
+    def take(self, samples: Iterable[SampleIn | Mapping[str, Any]]) -> None:
         """Take in moments that came together, in any order: late ones cost no more than others.
 
         Parameters
         ----------
-        samples : iterable of mapping
+        samples : iterable of SampleIn or mapping
             The parameters of `update` by name, for each moment.
 
         Raises
@@ -126,26 +115,25 @@ class Drive:
         InputError
             As `update` does; none of them is taken in then.
         """
-        self.tracking.add([self._sample(**one) for one in samples])
+        given = (one if isinstance(one, SampleIn) else checked(SampleIn, one) for one in samples)
+        self.tracking.add([self._sample(one) for one in given])
 
-    def _sample(
-        self,
-        time_s: float,
-        position: PlaceLike,
-        *,
-        power_w: float | None = None,
-        voltage_v: float | None = None,
-        current_a: float | None = None,
-        charge: float | None = None,
-    ) -> Sample:
+    def _sample(self, one: SampleIn) -> Sample:
+        power_w = one.power_w
         if power_w is None:
-            if voltage_v is None or current_a is None:
-                raise InputError("a sample needs `power_w`, or `voltage_v` and `current_a`")
-            power_w = voltage_v * current_a
-        if charge is not None and not 0.0 <= charge <= 1.0:
-            raise InputError(f"charge is {charge:g}; it lies between 0 and 1", charge=charge)
-        place = world_point(self.lattice.frame, position, name="position")
-        return Sample(float(time_s), place.x, place.y, float(power_w), math.nan if charge is None else float(charge))
+            assert one.voltage_v is not None
+            assert one.current_a is not None
+            power_w = one.voltage_v * one.current_a
+        most_w = self.battery.full_j / _LEAST_S
+        if abs(power_w) > most_w:
+            raise InputError(
+                f"a power of {power_w:.4g} W would empty or fill the battery in less than {_LEAST_S:g} s; at most "
+                f"{most_w:.4g} W can be true: is it in watts, and is the battery's capacity right?",
+                power_w=power_w,
+                limit=most_w,
+            )
+        place = world_point(self.lattice.frame, one.position, name="position")
+        return Sample(one.time_s, place.x, place.y, power_w, math.nan if one.charge is None else one.charge)
 
     def forecast(self) -> Forecast:
         """Return what is expected of the rest.
@@ -156,6 +144,16 @@ class Drive:
             With its interval, the probability that the battery lasts, and the cause that is seen.
         """
         return forecast(self.tracking, self._ahead, self.battery)
+
+    def charge_along(self) -> list[ChargeAt]:
+        """Return the state of charge along the route.
+
+        Returns
+        -------
+        list of ChargeAt
+            What it was behind the robot; ahead of it what is expected, with its 90 % interval, and what was planned.
+        """
+        return charge_along(self.tracking, self.battery)
 
     def costmap(self) -> CostMap:
         """Return the cost map at what driving costs in this run, without predicting anything anew.
@@ -177,8 +175,7 @@ class Drive:
         BetterRoute or None
             Where it has become cheaper by more than its uncertainty.
         """
-        updated = updated_lattice(self.lattice, self.tracking.known())
-        return better_route(self.lattice, updated, self.tracking.known(), self.rest(), RoutePlanner(updated))
+        return better_route(self.lattice, self.tracking.known(), self.rest())
 
     def rest(self) -> Route:
         """Return the rest of the route, priced as planned.

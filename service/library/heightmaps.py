@@ -14,18 +14,67 @@ from numpy.typing import ArrayLike
 from joulemap.model.errors import HeightmapError, InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
-from joulemap.model.runs.driven_surface import MAX_GAP_M, RESOLUTION_M, SMOOTHING_M, driven_surface
+from joulemap.model.runs.driven_surface import driven_surface
 from joulemap.model.terrain.coordinate_systems import crs_name
 from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.plausible import heightmap_warnings
+from joulemap.model.terrain.readers import ASKED_FOR, MAX_CELLS, read_sent
 from joulemap.service.library.data_array import grid_of, nodata_of, refuse_other_units, says_where
 from joulemap.service.library.run_files import RunsLike, read_runs
+from joulemap.service.questions.asking import asks
+from joulemap.service.questions.reading import ReadingOptions
+from joulemap.service.questions.surface import SurfaceOptions
 
 GroundLike = Any
 """A heightmap, the path of its file, or a DataArray of xarray."""
 RobotLike = Robot | Mapping[str, Any] | str | Path | None
 """A robot, its fields, the path of its TOML file, or None for the built-in one."""
+
+
+@asks(ReadingOptions, "name", complete=False)
+def read_heightmap(
+    source: str | Path | bytes, *, filename: str | None = None, wanted: dict[str, Any], max_cells: int = MAX_CELLS
+) -> Heightmap:
+    """Read a heightmap from a file of any known format.
+
+    The format is recognised by the content first, then by the name. Row 0 of the answer is north and unknown cells are
+    NaN, whatever the file's own way.
+
+    Parameters
+    ----------
+    source : str, Path or bytes
+        The file, or all its bytes.
+    filename : str, optional
+        The name of `source` where it is bytes.
+    wanted : ReadingOptions
+        Its fields are parameters of this function.
+    max_cells : int, optional
+        Largest number of cells.
+
+    Returns
+    -------
+    Heightmap
+        Heights and their place.
+
+    Raises
+    ------
+    HeightmapError
+        If the file cannot be read, is no heightmap, does not lie on a north-up square grid of true metres, or holds no
+        known cell.
+    TooLargeError
+        If it declares more than `max_cells` cells; no memory is allocated for them.
+
+    Warns
+    -----
+    UserWarning
+        Of what was done to the heights by itself (their unit, colours), and of heights that are hardly in metres.
+    """
+    found = read_sent(source, filename=filename, max_cells=max_cells, alone=False, **wanted)
+    for words in (*found.notes, *heightmap_warnings(found)):
+        if not words.startswith(ASKED_FOR):
+            warnings.warn(words, stacklevel=3)  # past what gives this function its parameters
+    return found
 
 
 def heightmap(
@@ -97,15 +146,8 @@ def heightmap(
     return Heightmap(array, replace(frame, crs=named), source="array")
 
 
-def heightmap_from_runs(
-    runs: RunsLike,
-    *,
-    resolution_m: float = RESOLUTION_M,
-    smoothing_m: float = SMOOTHING_M,
-    max_gap_m: float = MAX_GAP_M,
-    antenna_height_m: float = 0.0,
-    crs: str | None = None,
-) -> Heightmap:
+@asks(SurfaceOptions, complete=False)
+def heightmap_from_runs(runs: RunsLike, *, wanted: dict[str, Any]) -> Heightmap:
     """Make a heightmap of the positions that a robot drove over, where there is no survey.
 
     It shows the ground as the body of the robot followed it, and only near the driven positions.
@@ -114,16 +156,8 @@ def heightmap_from_runs(
     ----------
     runs : Runs, str, Path or sequence of these
         Runs in one frame, with the column `z`. Make one heightmap for each run where each has a frame of its own.
-    resolution_m : float, optional
-        Side of a cell [m].
-    smoothing_m : float, optional
-        Waves shorter than this lose more than half their height [m].
-    max_gap_m : float, optional
-        Ground farther than this from a driven position is unknown [m].
-    antenna_height_m : float, optional
-        Height of `z` above the ground [m].
-    crs : str, optional
-        Coordinate system in metres, "EPSG:n" or WKT. Logs with `lat` and `lon` need it.
+    wanted : SurfaceOptions
+        Its fields are parameters of this function.
 
     Returns
     -------
@@ -142,16 +176,9 @@ def heightmap_from_runs(
     UserWarning
         If the heights of the runs differ where they meet.
     """
-    found = driven_surface(
-        read_runs(runs, crs=crs).runs,
-        resolution_m=resolution_m,
-        smoothing_m=smoothing_m,
-        max_gap_m=max_gap_m,
-        antenna_height_m=antenna_height_m,
-        crs=crs,
-    )
+    found = driven_surface(read_runs(runs, crs=wanted.get("crs")).runs, **wanted)
     for warning in found.warnings:
-        warnings.warn(warning, stacklevel=2)
+        warnings.warn(warning, stacklevel=3)  # past what gives this function its parameters
     return found.heightmap
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +36,7 @@ def with_layers(
     free: LayerLike = None,
     factor: LayerLike = None,
     cost: LayerLike = None,
+    height: LayerLike = None,
     legend: LegendLike = None,
 ) -> Heightmap:
     """Say what is known of the ground beside its height.
@@ -60,6 +60,9 @@ def with_layers(
         By which the energy that motion needs is multiplied, on top of what the model says.
     cost : layer or callable, optional
         Energy that is added [J/m], not below 0, as numbers, or as a function of x, y [m] and heading [rad] of n places.
+    height : layer, optional
+        Heights in place of the map's [m], as of bridges and ramps, where they are known. Polygons have a property
+        `height`, or a height at each corner, between which they are linear.
     legend : dict, str or Path, optional
         A table for every kind of ground, or their TOML file: `value`, and `rolling_resistance` or `factor` with its
         `std`, or `blocked`. What is left out is that of the kind of this name in the library.
@@ -67,7 +70,7 @@ def with_layers(
     Returns
     -------
     Heightmap
-        The same heights with these layers, in place of those that it had.
+        The heightmap with these layers, in place of those that it had; heights of earlier layers stay.
 
     Raises
     ------
@@ -85,7 +88,7 @@ def with_layers(
     >>> costs.plan((2.0, 2.0), (2.0, 18.0)).energy_j < costs.plan((18.0, 2.0), (18.0, 18.0)).energy_j
     True
     """
-    given = {"kinds": kinds, "obstacles": obstacles, "free": free, "factor": factor, "cost": cost}
+    given = {"kinds": kinds, "obstacles": obstacles, "free": free, "factor": factor, "cost": cost, "height": height}
     check_legend(legend, [role for role, value in given.items() if value is not None])
     found, names = ground_of(ground), _legend(legend)
     layers = [
@@ -94,7 +97,7 @@ def with_layers(
         if value is not None
         for one in _several(value)
     ]
-    return replace(found, layers=Layers(tuple(layers)))
+    return found.with_layers(Layers(tuple(layers)))
 
 
 def _legend(legend: LegendLike) -> Legend | None:

@@ -101,7 +101,8 @@ def train(
     Parameters
     ----------
     ground : Heightmap, str or Path, optional
-        The heightmap that the runs were driven on. Not with `sites` or `campaign`.
+        The heightmap that the runs were driven on. Not with `sites` or `campaign`. Runs with a speed or a distance and
+        no positions need none: rolling and climbing are learned, and not the shape of the ground.
     runs : Runs, str, Path or sequence of these, optional
         The runs, or their files.
     out : str or Path
@@ -139,20 +140,25 @@ def train(
     from dataclasses import asdict
 
     from joulemap.model.energy.artifact import CONFIG_FILE
-    from joulemap.model.training.measured_runs import train_on_sites
+    from joulemap.model.training.measured_runs import Learner, train_on_sites
     from joulemap.service.models import start_folder
 
     folder = Path(out)
     if not overwrite and (folder / CONFIG_FILE).exists():
         raise ConflictError(f"{folder} holds a model already: choose another folder, or say overwrite=True")
     usual = "default" if wanted.architecture == DEFAULT_ARCHITECTURE else "none"
-    made = train_on_sites(
-        sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot),
-        out=folder,
-        **wanted.model_dump(include={"architecture", "patch_size", "epochs", "charge", "resume"}),
+    learner = Learner(
+        **wanted.model_dump(include={"architecture", "patch_size", "epochs"}),
         seed=wanted.seed or 0,
         start_from=start_folder(wanted.start_from or usual),
         backbone=None if wanted.backbone is None else Path(wanted.backbone),
+    )
+    made = train_on_sites(
+        sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot),
+        learner,
+        out=folder,
+        charge=wanted.charge,
+        resume=wanted.resume,
         progress=progress,
     )
     return Model(folder, asdict(made))

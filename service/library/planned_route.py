@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError
 from joulemap.planner.answers import Plan
-from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Profile, Route
-from joulemap.service.exports.geojson import geojson_document
+from joulemap.service.analysis.objectives import Weighed
 from joulemap.service.exports.track import Track, track_of_plan
 from joulemap.service.library.html import html_table, text_table
-from joulemap.service.library.route_output import geodataframe, route_numbers, save_track
-from joulemap.service.objectives import Weighed
+from joulemap.service.library.route_output import Planned, geodataframe, route_numbers
 from joulemap.service.words import route_words, saving_words
 
 if TYPE_CHECKING:
@@ -26,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlannedRoute:
+class PlannedRoute(Planned):
     """The energy-optimal route between two places, and the shortest one beside it.
 
     Attributes
@@ -38,7 +35,6 @@ class PlannedRoute:
     """
 
     found: Plan
-    lattice: CostLattice
 
     @property
     def route(self) -> Route:
@@ -102,11 +98,6 @@ class PlannedRoute:
         return None if found is None else Weighed(**found)
 
     @property
-    def warnings(self) -> list[str]:
-        """Where map or robot lie outside what the model learned."""
-        return list(self.lattice.provenance.get("warnings", []))
-
-    @property
     def notes(self) -> list[str]:
         """What the user should know about this route."""
         return self.route.notes
@@ -126,9 +117,9 @@ class PlannedRoute:
         matplotlib.axes.Axes
             The map, in metres of its CRS.
         """
-        from joulemap.service.ground_drawing import draw_lattice_ground
-        from joulemap.service.map_style import new_axes
-        from joulemap.service.route_drawing import draw_routes
+        from joulemap.service.render.ground_drawing import draw_lattice_ground
+        from joulemap.service.render.map_style import new_axes
+        from joulemap.service.render.route_drawing import draw_routes
 
         ax = new_axes() if ax is None else ax
         patches = draw_lattice_ground(ax, self.lattice)
@@ -157,8 +148,8 @@ class PlannedRoute:
         InputError
             On another quantity.
         """
-        from joulemap.service.map_style import OPTIMAL, SHORTEST, new_axes
-        from joulemap.service.route_drawing import draw_profile
+        from joulemap.service.render.map_style import OPTIMAL, SHORTEST, new_axes
+        from joulemap.service.render.route_drawing import draw_profile
 
         if quantity not in ("energy", "elevation"):
             raise InputError(f"`quantity` is {quantity!r}: give 'energy' or 'elevation'", quantity=quantity)
@@ -173,51 +164,6 @@ class PlannedRoute:
     def track(self) -> Track:
         """The routes as what files are written from."""
         return track_of_plan(self.found, self.lattice, warnings=self.warnings)
-
-    def to_geojson(self, *, coordinates: str = "wgs84") -> dict[str, Any]:
-        """Return both routes, and the alternatives, as GeoJSON.
-
-        Parameters
-        ----------
-        coordinates : str, optional
-            "wgs84" (longitude, latitude [degrees], as RFC 7946 wants them) or "map" (x, y [m] in the CRS of the map,
-            which the member `crs` names).
-
-        Returns
-        -------
-        dict
-            A FeatureCollection of lines with heights.
-
-        Raises
-        ------
-        InputError
-            If the map has no CRS, and degrees are wanted.
-        """
-        return geojson_document(self.track, coordinates=coordinates)
-
-    def save(self, path: str | Path, *, format: str | None = None, coordinates: str | None = None) -> Path:
-        """Write the route for another program; the name says for which, like route.gpx or route.plan.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file; one that is there is replaced.
-        format : str, optional
-            A name of `joulemap.service.exports.routes.ROUTE_FORMATS`; by default the suffix decides.
-        coordinates : str, optional
-            Of GeoJSON, as for `to_geojson`.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        InputError
-            If the format is unknown, or the map has no CRS and the format needs degrees.
-        """
-        return save_track(self.track, path, format, coordinates)
 
     def to_geodataframe(self) -> GeoDataFrame:
         """Return the routes as a table with a geometry, a row each. Needs the extra `geo`.

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from joulemap.planner.answers import RoundTrip
-from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Route
-from joulemap.service.exports.geojson import geojson_document
 from joulemap.service.exports.track import Track, track_of_tour
-from joulemap.service.library.route_output import geodataframe, save_track
+from joulemap.service.library.route_output import Planned, geodataframe
 from joulemap.service.words import energy_words
 
 if TYPE_CHECKING:
@@ -20,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlannedTour:
+class PlannedTour(Planned):
     """A round trip over several stops in the order that takes least energy.
 
     Attributes
@@ -32,7 +29,6 @@ class PlannedTour:
     """
 
     found: RoundTrip
-    lattice: CostLattice
 
     @property
     def legs(self) -> tuple[Route, ...]:
@@ -54,11 +50,6 @@ class PlannedTour:
         """Horizontal length of all legs [m]."""
         return sum(leg.length_m for leg in self.legs)
 
-    @property
-    def warnings(self) -> list[str]:
-        """Where map or robot lie outside what the model learned."""
-        return list(self.lattice.provenance.get("warnings", []))
-
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the tour on the terrain.
 
@@ -72,8 +63,8 @@ class PlannedTour:
         matplotlib.axes.Axes
             The map, in metres of its CRS.
         """
-        from joulemap.service.ground_drawing import draw_lattice_ground
-        from joulemap.service.map_style import OPTIMAL, new_axes
+        from joulemap.service.render.ground_drawing import draw_lattice_ground
+        from joulemap.service.render.map_style import OPTIMAL, new_axes
 
         ax = new_axes() if ax is None else ax
         draw_lattice_ground(ax, self.lattice)
@@ -89,50 +80,6 @@ class PlannedTour:
     def track(self) -> Track:
         """The legs as what files are written from."""
         return track_of_tour(self.found, self.lattice, warnings=self.warnings)
-
-    def to_geojson(self, *, coordinates: str = "wgs84") -> dict[str, Any]:
-        """Return the legs as GeoJSON.
-
-        Parameters
-        ----------
-        coordinates : str, optional
-            "wgs84" or "map", as for `PlannedRoute.to_geojson`.
-
-        Returns
-        -------
-        dict
-            A FeatureCollection with a line for each leg.
-
-        Raises
-        ------
-        InputError
-            If the map has no CRS, and degrees are wanted.
-        """
-        return geojson_document(self.track, coordinates=coordinates)
-
-    def save(self, path: str | Path, *, format: str | None = None, coordinates: str | None = None) -> Path:
-        """Write the tour for another program, as `PlannedRoute.save`.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file; one that is there is replaced.
-        format : str, optional
-            By default the suffix decides.
-        coordinates : str, optional
-            Of GeoJSON.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        InputError
-            If the format is unknown, or the map has no CRS and the format needs degrees.
-        """
-        return save_track(self.track, path, format, coordinates)
 
     def to_geodataframe(self) -> GeoDataFrame:
         """Return the legs as a table with a geometry, a row each. Needs the extra `geo`.

@@ -1,24 +1,74 @@
-"""Measured runs for a Python user: found by file, folder or pattern, read, and repaired."""
+"""Measured runs of a Python user: files, folders and patterns, and tables in memory, which become files of Parquet."""
 
 from __future__ import annotations
 
+import tempfile
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from glob import glob
+from functools import cache
+from glob import glob, has_magic
+from itertools import count
 from pathlib import Path
 from typing import Any
 
-from joulemap.model.errors import NotFoundError
+from joulemap.model.errors import NotFoundError, RunsError
 from joulemap.model.recordings.split import is_split
 from joulemap.model.runs.files import copies_words, same_content
 from joulemap.model.runs.formats import suffixes
+from joulemap.model.runs.formats.columns import named
 from joulemap.model.runs.mapping import MappingLike, read_mapping
-from joulemap.model.runs.reader import Run
+from joulemap.model.runs.run import Run
 from joulemap.service.intake.trial import refuse_deadly
 from joulemap.service.library.html import html_table, text_table
-from joulemap.service.library.tables import is_kept, is_table, kept_table
 from joulemap.service.words import duration_words, runs_words
+
+_NUMBERS = count(1)
+
+
+def is_table(given: Any) -> bool:
+    """Decide whether something is a table.
+
+    Result: True for a data frame of pandas or polars, a table of pyarrow, and a mapping.
+    """
+    return isinstance(given, Mapping) or (hasattr(given, "columns") and hasattr(given, "__getitem__"))
+
+
+def kept_table(table: Any) -> Path:
+    """Write a table to a folder that is gone when the process ends."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    name = f"table_{next(_NUMBERS)}.parquet"
+    try:
+        if isinstance(table, Mapping):
+            found = pa.table({str(key): pa.array(values, from_pandas=True) for key, values in table.items()})
+        elif isinstance(table, pa.Table):
+            found = table
+        elif hasattr(table, "to_arrow"):  # polars
+            found = table.to_arrow()
+        else:
+            found = pa.Table.from_pandas(table.set_axis(named([str(key) for key in table.columns]), axis=1))
+    except (pa.ArrowException, TypeError, ValueError) as error:
+        raise RunsError(f"run {name}: not a readable table: {str(error)[:200]}", run=name) from error
+    place = _folder() / name
+    pq.write_table(found, place)
+    return place
+
+
+def is_kept(path: Path) -> bool:
+    """Decide whether a file is one of `kept_table`."""
+    return path.parent == _folder()
+
+
+@cache
+def _folder() -> Path:
+    _kept.append(tempfile.TemporaryDirectory(prefix="joulemap-"))
+    return Path(_kept[0].name)
+
+
+_kept: list[tempfile.TemporaryDirectory[str]] = []
+
 
 RUN_SUFFIXES = suffixes()
 """Files that a folder of runs is searched for."""
@@ -116,7 +166,7 @@ def read_runs(files: RunsLike, *, crs: str | None = None, mapping: MappingLike |
     """
     from joulemap.model.runs.cutting import cut_segments
     from joulemap.model.runs.files import distinct_names
-    from joulemap.model.runs.plausible import implausible
+    from joulemap.model.runs.plausible import implausible, of_length
     from joulemap.model.runs.reader import read_run
 
     if isinstance(files, Runs):
@@ -126,7 +176,8 @@ def read_runs(files: RunsLike, *, crs: str | None = None, mapping: MappingLike |
     names = distinct_names(paths)
     runs = tuple(read_run(path, name=name, crs=crs, mapping=entries) for path, name in zip(paths, names, strict=True))
     for run in runs:
-        for found in (*run.notes, *implausible(run, cut_segments(run, charge=not run.has_energy))):
+        segments = cut_segments(run, charge=not run.has_energy)
+        for found in (*run.notes, *implausible(run, segments), *of_length(run, segments)):
             warnings.warn(f"run {run.name}: {found}", stacklevel=2)
     return Runs(tuple(paths), runs)
 
@@ -154,6 +205,8 @@ def find_run_files(
             here = sorted(Path(name) for name in glob(str(each)))
         if not here:
             where = f"the folder {each} holds no" if place.is_dir() else f"{str(each)!r} names no"
+            if not place.is_dir() and not has_magic(str(each)):
+                raise NotFoundError(f"there is no file {each} (looked for from {Path.cwd()})", pattern=str(each))
             raise NotFoundError(
                 f"{where} log: {', '.join(RUN_SUFFIXES)} (looked for from {Path.cwd()})", pattern=str(each)
             )

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from joulemap.model.errors import InputError, NotFoundError, nearest_name
-from joulemap.model.runs.sites import Site
+from joulemap.model.runs.calibration_runs import CalibrationRuns, read_calibration_runs
+from joulemap.model.runs.electric import Currents
+from joulemap.model.runs.odometry import Odometry
+from joulemap.model.runs.sites import Site, with_test_files
 from joulemap.model.runs.without_map import sites_without_map
 from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
 from joulemap.service.library.run_files import RunsLike, find_run_files
@@ -57,6 +61,35 @@ def sites_given(
     if ground is None:
         return sites_without_map(find_run_files(runs), robot_of(robot))
     return sites_of([(ground, runs)], robot=robot)
+
+
+def read_compared(
+    given: Mapping[str, Any],
+    *,
+    baseline_runs: RunsLike | None = None,
+    test_runs: RunsLike | None = None,
+    odometry: Odometry | None = None,
+    currents: Currents = "auto",
+) -> CalibrationRuns:
+    """Read the runs of a calibration, on their maps or on the ground that their logs describe.
+
+    `given`: the arguments of `sites_given`.
+    """
+    baseline, test = find_run_files(baseline_runs), find_run_files(test_runs)
+    runs = given["runs"]
+    if baseline and runs is None:
+        raise InputError("`baseline_runs` go with `runs`; in a campaign file a site has the key `baseline`")
+    if runs is not None and all(given[name] is None for name in ("ground", "sites", "campaign")):
+        files, robot = find_run_files(runs), robot_of(given["robot"])
+        sites = sites_without_map(files, robot, baseline_files=baseline, test_files=test, odometry=odometry)
+    elif odometry is not None:
+        raise InputError("`odometry_track_m` goes with `runs` without positions, which belong to no heightmap")
+    else:
+        sites = sites_given(**given)
+        if baseline:
+            sites = [replace(sites[0], baseline_files=tuple(baseline))]
+        sites = with_test_files(sites, test)
+    return read_calibration_runs(sites, currents=currents)
 
 
 def sites_of_options(values: Sequence[str]) -> list[tuple[Path, list[str]]]:

@@ -17,11 +17,10 @@ from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.energy.reliability import checked_spread
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import ConflictError, InfeasibleError, InputError
-from joulemap.model.loop.calibrate import Calibration, calibrate
+from joulemap.model.loop.calibrate import CALIBRATED, Calibration, calibrate
 from joulemap.model.loop.calibration_file import save_calibrated
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.drive_prior import columns_of_rows, fit_drive_prior, prior_of_spread
-from joulemap.model.loop.mixture import CALIBRATED
 from joulemap.model.loop.report import report_document
 from joulemap.model.loop.terms import turning_per_rad
 from joulemap.model.robot import Robot
@@ -101,7 +100,7 @@ def calibrate_on_runs(
         test=measured.test,
         groups=groups,
         cross_validate=cross_validate,
-        progress=_part(progress, _READ, _CALIBRATED),
+        progress=lambda share: _report(progress, _READ + (_CALIBRATED - _READ) * share),
     )
     correction = correction_of(
         found, measured.std, groups, declared_turn=planning_robot(predictor, runs.robot).turn_j_per_rad
@@ -122,7 +121,6 @@ def calibrate_on_runs(
                 measured.places,
                 task=task,
                 seed=seed,
-                progress=_part(progress, _CALIBRATED, 1.0),
             )
         except InfeasibleError as error:  # a report all the same
             why_not = error.message
@@ -201,10 +199,6 @@ def _report(progress: Callable[[float], None] | None, share: float) -> None:
         progress(share)
 
 
-def _part(progress: Callable[[float], None] | None, start: float, end: float) -> Callable[[float], None] | None:
-    return None if progress is None else lambda share: progress(start + (end - start) * share)
-
-
 def campaigns_of(runs: Sequence[str]) -> list[str]:
     """Return the campaign that each run belongs to, by its name.
 
@@ -260,13 +254,14 @@ def correction_of(
     terms = correction.planner_terms
     turned = unit_j * turning_per_rad(terms, rows)
     by_kind = {kind: unit_j * turning_per_rad(terms, rows, kind) - turned for kind in correction.kinds}
-    turn, factor, mixture = turned + declared_turn, found.levels["proposed"].factor, found.mixture
-    if mixture is not None:
-        turn = unit_j * mixture.turned(turn / unit_j, declared_turn / unit_j)
-        by_kind = {kind: mixture.shares.get(CALIBRATED, 0.0) * more for kind, more in by_kind.items()}
+    turn, factor = turned + declared_turn, found.levels["proposed"].factor
+    if found.proposal != CALIBRATED:
+        simple = found.fitted.simple.get(found.proposal)  # the model before is none
+        terms = tuple(term for term in (simple or found.fitted.scale,) if term is not None)
+        correction = replace(correction, planner_terms=terms, alone=True)
+        turn, by_kind = declared_turn if simple is None else unit_j * simple.by_name.get("turned", 0.0), {}
     return replace(
         correction,
-        mixture=mixture,
         turn_j_per_rad=factor * turn - declared_turn,
         turn_by_kind={kind: factor * more for kind, more in by_kind.items() if more},
         conditions=conditions,

@@ -1,4 +1,4 @@
-"""What a calibration says of the effects it found, and of those that these runs cannot distinguish, in sentences."""
+"""What a calibration says of base parameters and effects, and of what these runs cannot distinguish, in sentences."""
 
 from __future__ import annotations
 
@@ -14,10 +14,7 @@ _SAME = 0.005  # of what turning costs in plans: less than this is no further pa
 
 
 def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float], list[list[float]]]:
-    """Return a fitted curve of a report.
-
-    Result: values of the covariate, what is added there, and its 95 % intervals.
-    """
+    """Return a fitted curve: values of the covariate, what is added there, and its 95 % intervals."""
     knots = list(effect["settings"]["knots"])
     points = [(c["value"], list(c["ci95"])) for c in effect["coefficients"]]
     if is_centred(effect):
@@ -26,18 +23,12 @@ def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float], l
 
 
 def is_centred(curve: Mapping[str, Any]) -> bool:
-    """Return whether a fitted curve is nil at its middle point.
-
-    Result: False where baseline runs say where it is nil.
-    """
+    """Return whether a fitted curve is nil at its middle point; if not, baseline runs say where it is."""
     return bool(curve["settings"].get("centred", True))  # not in reports of older versions
 
 
 def found_words(document: Mapping[str, Any]) -> list[str]:
-    """Return what was found, with coefficients and 95 % intervals.
-
-    Result: sentences: first how many effects, then one paragraph for each.
-    """
+    """Return what was found, with coefficients and 95 % intervals."""
     model, effects = document["model"]["before"]["name"], document["effects"]
     if not effects:
         return [
@@ -72,10 +63,7 @@ def _plan_words(effect: Mapping[str, Any]) -> list[str]:
 
 
 def is_log_fault(effect: Mapping[str, Any]) -> bool:
-    """Return whether an effect is a fault of the log, such as a late meter, and nothing that costs energy.
-
-    Result: True for a form that no plan may contain.
-    """
+    """Return whether an effect is a fault of the log, such as a late meter, and nothing that costs energy."""
     return not FORMS[effect["form"]].on_map
 
 
@@ -103,18 +91,24 @@ def _turning_words(document: Mapping[str, Any]) -> str:
     volts = " (charge times the nominal voltage)" if document["target"] == "charge_as" else ""
     words = f"In plans one radian of turning costs {number_words(total)} J{volts}"
     if total - new < _SAME * abs(total):
-        return f"{words}."
+        return f"{words}{_why_other(document)}."
     return (
         f"{words}: {number_words(new)} J are new, the rest is in the model already or in what the baseline runs show."
     )
 
 
-def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
-    """Return the coefficients of an effect with their 95 % intervals.
+def _why_other(document: Mapping[str, Any]) -> str:
+    """Why turning costs something else in plans than the effect says; empty where it does not."""
+    effect = next((e for e in document["effects"] if e["name"] == "turning"), None)
+    if document.get("proposal", "after_planner") != "after_planner":
+        return ", by the prediction that plans use"
+    if effect is None or not (effect["form"] == "curve" or any(effect["settings"].values())):
+        return ""
+    return ", the mean over the turns of these runs, of which the sharpest take no more power"
 
-    Result: of a curve its ends; of other effects with many coefficients the smallest and the largest; of a field over
-    the map, whose values mean something together only, their number.
-    """
+
+def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
+    """Return the coefficients of an effect with their 95 % intervals."""
     found = effect["coefficients"]
     if effect["form"] == "curve":
         return [_curve_words(effect)]
@@ -133,18 +127,12 @@ def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
 
 
 def labels_of(document: Mapping[str, Any]) -> dict[str, str]:
-    """Return what a reader calls each effect of a report.
-
-    Result: name -> label, of the candidates and of the effects found.
-    """
+    """Return what a reader calls each candidate and each effect found, by its name."""
     return {row["name"]: row["label"] for row in (*document["candidates"], *document["effects"])}
 
 
 def confounded_words(document: Mapping[str, Any]) -> list[str]:
-    """Return what these runs cannot distinguish, and what would.
-
-    Result: a line for each effect that another candidate would replace as well.
-    """
+    """Return what these runs cannot distinguish, and what would."""
     labels, lines = labels_of(document), []
     for name, *rivals in document["confounded"]:
         others = any_of([labels.get(rival, rival) for rival in rivals])
@@ -152,3 +140,47 @@ def confounded_words(document: Mapping[str, Any]) -> list[str]:
         more = f" This would: {drive}." if drive else ""
         lines.append(f"These runs cannot distinguish {labels.get(name, name)} from {others}.{more}")
     return lines
+
+
+_NOTHING = 1e-9  # half a width of an interval: rounding
+_BASE = {
+    "rolling_resistance": "rolling resistance",
+    "energy_of_motion": "energy of motion, as a multiple of the model's",
+    "idle_power_w": "idle power",
+    "descents": "share of the energy of descents that is lost",
+    "driving_power": "power drawn while driving, beside the idle power",
+    "speeding_up": "energy of speeding up, as a multiple of the kinetic energy",
+    "slowing_down": "energy saved by slowing down, as a multiple of the kinetic energy",
+    "measured_slope": "weight of the slope measured by the robot, against that of the map",
+    "per_metre": "charge per metre",
+    "uphill": "charge per joule of traction",
+    "downhill": "charge saved per joule of braking",
+    "standing_current": "current drawn all the time",
+}
+
+
+def base_name(key: str) -> str:
+    """Return what a reader calls a base parameter."""
+    return _BASE.get(key, key.replace("_", " "))
+
+
+def base_words(document: Mapping[str, Any]) -> list[str]:
+    """Return what the runs say of the base model's own parameters."""
+    lines = []
+    for parameter in document["base_parameters"]:
+        if not is_shown(parameter):
+            continue
+        unit = f" {parameter['unit']}".rstrip()
+        value, low, high = map(number_words, (parameter["value"], *parameter["ci95"]))
+        declared = "" if parameter["declared"] is None else f"{number_words(parameter['declared'])}{unit} declared, "
+        lines.append(
+            f"{capital(base_name(parameter['name']))}: {declared}{value}{unit} by the runs "
+            f"(95 % interval {low} to {high})."
+        )
+    return lines
+
+
+def is_shown(parameter: Mapping[str, Any]) -> bool:
+    """Return whether the runs say anything of a base parameter; an interval without a width is of what they lack."""
+    half = 0.5 * (parameter["ci95"][1] - parameter["ci95"][0])
+    return _NOTHING < half <= max(1.0, abs(parameter["value"]))

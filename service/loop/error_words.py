@@ -37,10 +37,7 @@ def validation_words(document: Mapping[str, Any]) -> str:
 
 
 def error_words(document: Mapping[str, Any]) -> list[str]:
-    """Return how much better the calibrated model predicts.
-
-    Result: sentences: on test runs where there are some; on the runs themselves; and how far these may be trusted.
-    """
+    """Return how much better the calibrated model predicts."""
     lines = []
     if test := document.get("test_set"):
         runs = len(test["error"]["before"]["by_run"])
@@ -74,21 +71,18 @@ _PLANS = {
 
 
 def plan_words(document: Mapping[str, Any]) -> list[str]:
-    """Return what plans are made with, and why; and whether it is right on average.
-
-    Result: sentences, with the errors of all that was tried on the same metres; none where no run was left out.
-    """
+    """Return what plans are made with, and why; and whether it is right on average."""
     if not document["validation"]["whole_procedure"]:
         return []
-    error, shares = document["error"], document["plan_shares"]
-    size = {key: f"{number_words(error[key]['rmse'])} {unit_of(document)}" for key in _PLANS}
-    parts = [f"{percent(share, 0)} {_PLANS[key]}" for key, share in sorted(shares.items(), key=lambda item: -item[1])]
-    which = f"a weighted mean, {' and '.join(parts)}"
-    if len(shares) == 1:
-        which = f"{_PLANS[next(iter(shares))]}, and no weighted mean with the others errs surely less"
-    own = f"{number_words(error['proposed']['rmse'])} {unit_of(document)} root mean square"
-    others = ", ".join(f"{size[key]} of {words}" for key, words in _PLANS.items() if list(shares) != [key])
-    what = f"Plans use {which}: {own} {validation_words(document)}"
+    error, chosen = document["error"], document["proposal"]
+    why = (
+        "errs least on routes and runs"
+        if chosen != "after_planner"
+        else "no other prediction surely errs less on routes"
+    )
+    size = {key: f"{number_words(error[key]['rmse'])} {unit_of(document)}" for key in (*_PLANS, "proposed")}
+    others = ", ".join(f"{size[key]} of {words}" for key, words in _PLANS.items() if key != chosen)
+    what = f"Plans use {_PLANS[chosen]} ({why}): {size['proposed']} root mean square {validation_words(document)}"
     lines, level = [f"{what}, against {others}."], document["mean"]["proposed"]
     if level["std"] is None:  # one run alone says nothing
         return lines
@@ -105,10 +99,7 @@ def plan_words(document: Mapping[str, Any]) -> list[str]:
 
 
 def unknown_words(document: Mapping[str, Any]) -> list[str]:
-    """Return how much of the error of plans comes from what only a log knows.
-
-    Result: a sentence; none where plans know of every effect, or where no whole run was left out.
-    """
+    """Return how much of the error of plans comes from what only a log knows."""
     error, known = document["error"], document["validation"]
     names = [effect["label"] for effect in document["effects"] if not effect["in_plans"]]
     with_log, planned = (error[key].get("run_energy_rms") for key in ("after", "after_planner"))
@@ -125,10 +116,7 @@ def unknown_words(document: Mapping[str, Any]) -> list[str]:
 
 
 def odds_words(document: Mapping[str, Any]) -> list[str]:
-    """Return whether the odds of the calibrated model were right on runs that had no part in them.
-
-    Result: sentences; none where too few runs were left out.
-    """
+    """Return whether the odds of the calibrated model were right on runs that had no part in them."""
     if not (found := document.get("reliability")) or not document["validation"]["whole_procedure"]:
         return []
     inside = ", ".join(f"{percent(share, 0)} inside the {level} % interval" for level, share in found["inside"].items())
@@ -149,10 +137,7 @@ def level_words(document: Mapping[str, Any]) -> list[str]:
 
 
 def advice(document: Mapping[str, Any]) -> str:
-    """Return whether to keep the model before.
-
-    Result: a sentence; empty where the calibrated model is confirmed, or where a quick calibration does not say.
-    """
+    """Return whether to keep the model before."""
     for key, where in (("confirmed", ""), ("confirmed_in_plans", " for plans")):
         if document.get(key) is False:
             return f"Not confirmed{where}: keep the model that you have."
@@ -186,10 +171,7 @@ def _states(error: Mapping[str, Any], unit: str) -> str:
 
 
 def error_states(error: Mapping[str, Any]) -> dict[str, str]:
-    """Return words for each state of the model that errors are stated of.
-
-    Result: key of the state -> words, without those of no difference to before or after.
-    """
+    """Return words for each state of the model that errors are stated of."""
     states = {
         "before": "before",
         "corrected": "with the base parameters",

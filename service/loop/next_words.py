@@ -52,10 +52,7 @@ def drive_words(drive: Mapping[str, Any]) -> str:
 
 
 def likeliest(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return what could be driven to find an effect where none was found.
-
-    Result: (label, drive that shows it) of the candidates with the smallest p-values below 1.
-    """
+    """Return what could be driven to find an effect where none was found."""
     able = [c for c in document["candidates"] if not c["taken"] and c["p_value"] < 1.0]
     ranked = sorted(able, key=lambda c: c["p_value"])
     return [(c["label"], c["reveals"]) for c in ranked][:_SUGGESTED]

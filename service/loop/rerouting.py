@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,18 +17,19 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.route import Route, price_route
 from joulemap.planner.route_planner import RoutePlanner
-from joulemap.service.coordinates import PlaceLike
+from joulemap.service.analysis.route_uncertainty import quantiles_of_route
 from joulemap.service.models import planning_robot
-from joulemap.service.places import Places
-from joulemap.service.route_uncertainty import quantiles_of_route
+from joulemap.service.places.coordinates import PlaceLike
+from joulemap.service.places.places import Places
 
 FloatArray = NDArray[np.float64]
 Point = tuple[float, float]
 Task = tuple[Point, Point]
 AskedTask = tuple[PlaceLike, PlaceLike]
 
-_OTHERS = 5  # tasks tried beside the farthest one
+_OTHERS = 5  # tasks that are tried where no route joins the farthest places
 _LEAST_SHARE = 0.4  # of the greatest distance that lies between the ends of those
+_FARTHEST = "the two places with the greatest distance that the runs visited"
 _DIRECTIONS = 32
 _CELLS = 250_000  # about as many has the lattice that routes are compared on
 
@@ -80,10 +80,8 @@ class Comparison:
     ----------
     shown : Rerouted
         The task that is reported.
-    tried : tuple of Rerouted
-        All tasks.
-    given : bool
-        Whether the task was asked for.
+    chosen : str
+        How the task was chosen, in words.
     turn_j_per_rad : tuple of float
         What turning costs in plans, before and after [J/rad].
     frame : GridFrame
@@ -94,20 +92,10 @@ class Comparison:
     """
 
     shown: Rerouted
-    tried: tuple[Rerouted, ...]
-    given: bool
+    chosen: str
     turn_j_per_rad: tuple[float, float]
     frame: GridFrame
     price_per_m: tuple[FloatArray, FloatArray]
-
-    @property
-    def chosen(self) -> str:
-        """How the task was chosen, in words."""
-        if self.given:
-            return "as asked for"
-        if len(self.tried) == 1:
-            return "the two places with the greatest distance that the runs visited"
-        return f"the one with the largest saving of {len(self.tried)} tasks between places that the runs visited"
 
     def map_as_dict(self) -> dict[str, Any]:
         """Return what a calibration changes on the map, JSON-able; 95 % of the cells change by `low` to `high`."""
@@ -128,10 +116,6 @@ class Comparison:
             "after": _route(shown.after, shown.std_j[1]) | {"energy_at_old_prices_j": shown.old_j},
             "saving_j": shown.saving_j,
             "saving_percent": 100.0 * shown.saving_share,
-            "tried": [
-                {"start": list(r.task[0]), "goal": list(r.task[1]), "saving_percent": 100.0 * r.saving_share}
-                for r in self.tried
-            ],
         }
 
 
@@ -149,9 +133,11 @@ def compare_routes(
     *,
     task: AskedTask | None = None,
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
 ) -> Comparison:
-    """Plan the same task with two models. `places` (n, 2): world points that the runs visited [m]."""
+    """Plan the same task with two models. `places` (n, 2): world points that the runs visited [m].
+
+    Without a task it is the farthest one that has a route: one that is chosen by its saving would promise too much.
+    """
     west, south, east, north = heightmap.frame.bounds
     spacing = max(1.0, math.ceil(math.sqrt((east - west) * (north - south) / _CELLS)))
     robots = planning_robot(before, robot, heightmap), planning_robot(after, robot, heightmap)
@@ -160,22 +146,19 @@ def compare_routes(
     old = replace(build_lattice(heightmap, robots[0], before, spacing_m=spacing), blocked=new.blocked)
     planners = RoutePlanner(old), RoutePlanner(new)
     meant = Places(heightmap.frame)
-    tasks = drawn_tasks(places, seed=seed) if task is None else [(meant(task[0], "start"), meant(task[1], "goal"))]
-    tried = []
-    for number, one in enumerate(tasks):
-        try:
-            tried.append(_reroute(planners, one))
-        except InfeasibleError:
-            if task is not None:
-                raise
-        if progress is not None:
-            progress((number + 1) / len(tasks))
-    if not tried:
-        raise NoRouteError("no route joins any two of the places that the runs visited", tasks=len(tasks))
-    shown = max(tried, key=lambda r: r.saving_share)
     turning = robots[0].turn_j_per_rad, robots[1].turn_j_per_rad
     prices = old.mean_energy_per_m(), new.mean_energy_per_m()
-    return Comparison(shown, tuple(tried), task is not None, turning, new.frame, prices)
+    if task is not None:
+        shown, chosen = _reroute(planners, (meant(task[0], "start"), meant(task[1], "goal"))), "as asked for"
+        return Comparison(shown, chosen, turning, new.frame, prices)
+    for number, one in enumerate(tasks := drawn_tasks(places, seed=seed)):
+        try:
+            shown = _reroute(planners, one)
+        except InfeasibleError:
+            continue
+        chosen = "two places far from each other that the runs visited" if number else _FARTHEST
+        return Comparison(shown, chosen, turning, new.frame, prices)
+    raise NoRouteError("no route joins any two of the places that the runs visited", tasks=len(tasks))
 
 
 def _reroute(planners: tuple[RoutePlanner, RoutePlanner], task: Task) -> Rerouted:

@@ -13,11 +13,7 @@ MOST_SEGMENTS = 20_000
 
 
 def segments_document(found: Calibration) -> dict[str, Any]:
-    """Return what was measured and predicted, segment by segment.
-
-    Result: JSON-able: ``unit``, and ``runs`` with ``name``, places ``x`` and ``y`` [m], ``measured``, and the
-    predictions ``before`` and ``after`` by procedures that had no part of the run.
-    """
+    """Return what was measured and predicted, segment by segment."""
     residuals, moving = found.residuals, found.residuals.moving
     step = max(1, -(-int(moving.sum()) // MOST_SEGMENTS))
     columns = {

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from joulemap.model.runs.words import number_words, quantity_name, quantity_value
-from joulemap.service.loop.base_words import base_words
-from joulemap.service.loop.effect_words import confounded_words, found_words
+from joulemap.service.loop.effect_words import base_words, confounded_words, found_words
 from joulemap.service.loop.error_words import (
     advice,
     error_words,
@@ -23,22 +22,14 @@ _SAID_RANGES = ("speed", "grade", "turning")  # in sentences; the report's table
 
 
 def headline(document: Mapping[str, Any]) -> str:
-    """Return the shortest answer to what was found.
-
-    Result: names of the effects found, and whether to keep the model before.
-    """
+    """Return the shortest answer to what was found."""
     names = ", ".join(effect["label"] for effect in document["effects"])
     found = f"Found: {names}" if names else "No missing effect was found"
     return f"{found}. {words}" if (words := advice(document)) else found
 
 
 def summary_lines(document: Mapping[str, Any]) -> list[str]:
-    """Return the whole summary, as the command line and Python print it.
-
-    Result: the headline; the base parameters; the effects found; what no effect explains; how much better the model
-    predicts; what these runs cannot distinguish; in which ranges they were driven; and of several maps, which one the
-    route is on.
-    """
+    """Return the whole summary, as the command line and Python print it."""
     first, *rest = found_words(document)
     lines = [
         headline(document),

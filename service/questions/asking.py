@@ -17,7 +17,7 @@ from joulemap.service.questions.parts import OnMap
 from joulemap.service.words import capital
 
 Answer = TypeVar("Answer")
-_TYPES = {"integer": "int", "number": "float", "string": "str", "boolean": "bool", "object": "Battery"}
+_TYPES = {"integer": "int", "number": "float", "string": "str", "boolean": "bool", "object": "Mapping[str, Any]"}
 _FORMATS = {"path": "str | Path", "model": "ModelLike"}
 _WANTED = re.compile(r"^wanted : .*\n(?:    .*\n)+", re.M)
 
@@ -83,8 +83,12 @@ def _described(name: str, field: Field, *, needed: bool) -> str:
 def _type_of(field: Field) -> str:
     """The type of a field, in words of Python."""
     value = value_of(field)
+    if "python" in field:
+        return str(field["python"])
     if is_place(value):
         kind = "Point"
+    elif "capacity_wh" in value.get("properties", ()):
+        kind = "Battery"
     elif value["type"] == "array":
         kind = f"Sequence[{_type_of(value['items'])}]"
     else:

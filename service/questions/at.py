@@ -8,8 +8,8 @@ from joulemap.service.questions.parts import OnMap, on_map
 from joulemap.service.schemas.base import Place
 
 if TYPE_CHECKING:  # they take their time to load
-    from joulemap.service.point_costs import PointCosts
-    from joulemap.service.questions.parts import AnyPlanner
+    from joulemap.planner.route_planner import RoutePlanner
+    from joulemap.service.analysis.point_costs import PointCosts
     from joulemap.service.schemas.maps import AtOut
 
 
@@ -27,15 +27,13 @@ class Found(NamedTuple):
     y: float
 
 
-def ask(planner: AnyPlanner, wanted: AtRequest) -> Found:
+def ask(planner: RoutePlanner, wanted: AtRequest) -> Found:
     """Look up the prices at a place."""
-    from joulemap.planner.stored_planner import StoredPlanner
-    from joulemap.service.point_costs import costs_at
+    from joulemap.service.analysis.point_costs import costs_at
 
     asked = on_map(planner, wanted)
     x, y = asked.places(wanted.place, "point")
-    if isinstance(asked.planner, StoredPlanner):
-        asked.planner.read_along([(x, y)])
+    asked.planner.read_along([(x, y)])
     return Found(costs_at(asked.planner.lattice, x, y), x, y)
 
 

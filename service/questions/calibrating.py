@@ -10,7 +10,7 @@ from pydantic import AliasChoices, Field, model_validator
 from joulemap.model.ranges import TRACK_M
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.questions.training import ModelPlace
-from joulemap.service.schemas.base import Place, Request, RobotIn
+from joulemap.service.schemas.base import Place, Request, RobotIn, within
 
 if TYPE_CHECKING:  # they take their time to load
     from collections.abc import Callable
@@ -96,10 +96,8 @@ class LocalCalibration(CalibrationOptions):
     """The same of runs that are files."""
 
     model: ModelPlace = Field(default=DEFAULT_MODEL, description="the model to be calibrated")
-    odometry_track_m: float | None = Field(
+    odometry_track_m: Annotated[float, within(TRACK_M)] | None = Field(
         default=None,
-        ge=TRACK_M.low,
-        le=TRACK_M.high,
         description="effective track width [m]: the runs have no positions, and the wheel speeds of both sides are "
         "integrated",
     )

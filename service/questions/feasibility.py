@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from joulemap.service.questions.parts import BatteryIn, OnRoute, WeighedRequest, battery_of, on_map
+from joulemap.service.questions.parts import OnRoute, OwnBattery, WeighedRequest, battery_of, on_map
+from joulemap.service.schemas.base import InPython
 
 if TYPE_CHECKING:  # they take their time to load
     from joulemap.model.battery import Battery
     from joulemap.planner.lattice import CostLattice
+    from joulemap.planner.route_planner import RoutePlanner
+    from joulemap.service.analysis.feasibility import Assessment
     from joulemap.service.exports.track import Track
-    from joulemap.service.feasibility import Assessment
-    from joulemap.service.questions.parts import AnyPlanner
 
 
 class FeasibilityRequest(OnRoute, WeighedRequest):
@@ -22,8 +24,10 @@ class FeasibilityRequest(OnRoute, WeighedRequest):
     round_trip: bool = Field(
         default=False, description="also drive back: a given path in reverse, else the best way back"
     )
-    battery: BatteryIn | None = Field(default=None, description="default: the robot's own, full, without a reserve")
-    profile: bool = Field(default=False, description="also answer charge and voltage along the way")
+    battery: OwnBattery = None
+    profile: Annotated[bool, InPython()] = Field(
+        default=False, description="also answer charge and voltage along the way"
+    )
 
     @model_validator(mode="after")
     def _nothing_to_choose(self) -> Self:
@@ -41,9 +45,9 @@ class Found(NamedTuple):
     profile: bool
 
 
-def ask(planner: AnyPlanner, wanted: FeasibilityRequest) -> Found:
+def ask(planner: RoutePlanner, wanted: FeasibilityRequest) -> Found:
     """Judge a given path, or the best one from start to goal; a given path is only priced."""
-    from joulemap.service.feasibility import assess
+    from joulemap.service.analysis.feasibility import assess
 
     asked, battery = on_map(planner, wanted), battery_of(wanted.battery, planner.lattice.robot)
     task: dict[str, Any] = {name: getattr(wanted, name) for name in ("path", "start", "goal", "round_trip", "snap")}
@@ -54,11 +58,24 @@ def ask(planner: AnyPlanner, wanted: FeasibilityRequest) -> Found:
 def answer(found: Found, warnings: list[str]) -> dict[str, Any]:
     """The values of `FeasibilityOut`."""
     from joulemap.planner.verdict.budget import battery_along
-    from joulemap.service.schemas.answers import feasibility_values
+    from joulemap.planner.words import moved_words
+    from joulemap.service.schemas.answers import battery_pieces, route_values, verdict_out
 
-    volts = found.lattice.robot.nominal_voltage_v
-    along = battery_along(found.assessment.routes, found.battery, volts) if found.profile else None
-    return feasibility_values(found.assessment, warnings, along=along)
+    assessment, volts = found.assessment, found.lattice.robot.nominal_voltage_v
+    routes = assessment.routes
+    along = battery_along(routes, found.battery, volts) if found.profile else None
+    verdict = verdict_out(assessment.verdict).model_dump()
+    return {
+        **verdict,
+        "message": verdict["message"] + moved_words(assessment.route_out.goal_moved_m),
+        "length_m": sum(r.length_m for r in routes),
+        "duration_s": sum(r.duration_s for r in routes),
+        "out": route_values(assessment.route_out),
+        "back": route_values(routes[1]) if len(routes) == 2 else None,
+        "objective": None if assessment.weighed is None else asdict(assessment.weighed),
+        "profile": None if along is None else battery_pieces(*along),
+        "warnings": [*warnings, *(note for r in routes for note in r.notes)],
+    }
 
 
 def track(found: Found, warnings: list[str]) -> Track:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from pydantic import Field
 
 from joulemap.model.ranges import CORRIDOR_PERCENT
-from joulemap.service.questions.parts import OnMap, in_memory, on_map
+from joulemap.service.questions.parts import Neighbours, OnMap, Snap, on_map
 from joulemap.service.schemas.base import Place, within
 
 if TYPE_CHECKING:  # they take their time to load
     from joulemap.planner.areas.energy_map import EnergyMap
-    from joulemap.service.questions.parts import AnyPlanner
+    from joulemap.planner.route_planner import RoutePlanner
 
-Neighbours = Annotated[Literal[8, 16, 32], Field(description="directions of a step")]
-Snap = Annotated[bool, Field(description="move places on blocked ground to the nearest free one")]
 Within = Annotated[
     Annotated[float, within(CORRIDOR_PERCENT)] | None,
     Field(description="with start and goal: the corridor of routes so much dearer at most [%]"),
@@ -40,10 +39,9 @@ class Found(NamedTuple):
     notes: list[str]
 
 
-def ask(planner: AnyPlanner, wanted: FieldRequest) -> Found:
+def ask(planner: RoutePlanner, wanted: FieldRequest) -> Found:
     """Find the energies, over grid moves."""
-    whole = in_memory(planner, "an energy field")
-    asked = on_map(whole, wanted)
+    asked = on_map(planner, wanted)
     ends = {
         name: None if place is None else asked.places(place, name)
         for name, place in (("start", wanted.start), ("goal", wanted.goal))
@@ -53,7 +51,7 @@ def ask(planner: AnyPlanner, wanted: FieldRequest) -> Found:
     return Found(energies, share, [*asked.places.notes, *notes])
 
 
-def answer(found: Found) -> dict[str, Any]:
+def answer(found: Found, warnings: Sequence[str] = ()) -> dict[str, Any]:
     """The values of `FieldOut`."""
     import numpy as np
 
@@ -66,5 +64,5 @@ def answer(found: Found) -> dict[str, Any]:
         "least_j": float(known.min()) if known.size else None,
         "most_j": float(known.max()) if known.size else None,
         "corridor_cells": None if found.within is None else int(energies.corridor(found.within).sum()),
-        "warnings": found.notes,
+        "warnings": [*found.notes, *warnings],
     }

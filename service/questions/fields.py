@@ -8,19 +8,22 @@ from typing import Any
 from pydantic import BaseModel
 
 from joulemap.service.questions.parts import OnMap
+from joulemap.service.schemas.base import InPython
 
 Field = Mapping[str, Any]
-_OF_HTTP = ("robot", "profile")
-"""Where the caller holds the cost map, its robot is known; the Python package answers charge and voltage otherwise."""
 
 
 def fields_of(request: type[BaseModel]) -> tuple[dict[str, Field], dict[str, Field]]:
     """Return the fields that must be given, and the others: its own first, then what all questions have."""
     schema = request.model_json_schema()
     last = list(OnMap.model_fields)
-    names = sorted((n for n in schema["properties"] if n not in _OF_HTTP), key=lambda name: name in last)
+    marks = {n: next((m for m in f.metadata if isinstance(m, InPython)), None) for n, f in request.model_fields.items()}
+    names = sorted((n for n, mark in marks.items() if mark is None or mark.words), key=lambda name: name in last)
     needed = schema.get("required", ())
     ordered = {name: _resolved(schema["properties"][name], schema.get("$defs", {})) for name in names}
+    for name, mark in marks.items():
+        if mark is not None and mark.words:
+            ordered[name] = {**ordered[name], "python": mark.words}
     return {n: f for n, f in ordered.items() if n in needed}, {n: f for n, f in ordered.items() if n not in needed}
 
 

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from joulemap.model.ranges import MAX_PLACES
-from joulemap.service.questions.parts import BatteryIn, OnMap, battery_of, in_memory, on_map
+from joulemap.service.questions.parts import BatteryIn, Neighbours, OnMap, Snap, battery_of, on_map
 from joulemap.service.schemas.base import Place, ResponseModel
 
 if TYPE_CHECKING:  # they take their time to load
     from collections.abc import Callable
 
     from joulemap.planner.questions.matrix import Matrix
-    from joulemap.service.questions.parts import AnyPlanner
+    from joulemap.planner.route_planner import RoutePlanner
 
 Values = list[list[float | None]]
 
@@ -37,14 +37,12 @@ class MatrixRequest(OnMap):
         description="world points [m]; the starts again, for the ways between all of them",
         examples=[[[80.0, 15.0]]],
     )
-    neighbours: Literal[8, 16, 32] = Field(default=32, description="directions of a step")
+    neighbours: Neighbours = 32
     only_cheapest: bool = Field(
         default=False,
         description="for each start only the goal of least energy, such as the cheapest charger: one search for all",
     )
-    snap: bool = Field(
-        default=False, description="move places on blocked ground to the nearest free one; warnings say where that is"
-    )
+    snap: Snap = False
     battery: BatteryIn | None = Field(default=None, description="given: how likely it is that this battery lasts")
 
 
@@ -99,14 +97,16 @@ class EnergyMatrix:
         return [int(np.argmin(row)) if np.isfinite(row).any() else None for row in self.energies_j]
 
 
-def ask(planner: AnyPlanner, wanted: MatrixRequest, *, progress: Callable[[float], None] | None = None) -> EnergyMatrix:
+def ask(
+    planner: RoutePlanner, wanted: MatrixRequest, *, progress: Callable[[float], None] | None = None
+) -> EnergyMatrix:
     """Find the energies, by one field for each start or for each goal, whichever are fewer.
 
     Their odds are those of ways on ground of the map's mean energy and uncertainty.
     """
-    from joulemap.service.route_uncertainty import odds_of_energies
+    from joulemap.service.analysis.route_uncertainty import odds_of_energies
 
-    asked = on_map(in_memory(planner, "a matrix"), wanted)
+    asked = on_map(planner, wanted)
     given = {"start": wanted.starts, "goal": wanted.goals}
     ends = [[asked.places(place, f"{name} {k}") for k, place in enumerate(places)] for name, places in given.items()]
     how: dict[str, Any] = {name: getattr(wanted, name) for name in ("neighbours", "snap", "only_cheapest")}

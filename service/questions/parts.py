@@ -8,26 +8,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from joulemap.model.battery import Battery
-from joulemap.model.errors import InputError
 from joulemap.model.ranges import BATTERY, BATTERY_CURVES, CURVE_POINTS, OBJECTIVES, QUANTILE, Range
 from joulemap.service.questions.given import checked
-from joulemap.service.schemas.base import Areas, GivenPath, Place, Request, RobotIn, within
+from joulemap.service.schemas.base import Areas, GivenPath, InPython, Place, Request, RobotIn, WholeMap, within
 
 if TYPE_CHECKING:  # they take their time to load
     from joulemap.model.robot import Robot
     from joulemap.planner.route_planner import RoutePlanner
-    from joulemap.planner.stored_planner import StoredPlanner
-    from joulemap.service.objectives import Objective
-    from joulemap.service.places import Places
-
-    AnyPlanner = RoutePlanner | StoredPlanner
+    from joulemap.service.analysis.objectives import Objective
+    from joulemap.service.places.places import Places
 
 
 class OnMap(Request):
     """A question to a cost map."""
 
     avoid: Areas = Field(default=[])
-    robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
+    robot: Annotated[RobotIn | None, InPython()] = Field(
+        default=None, description="refused where it differs from the cost map's robot"
+    )
 
     @classmethod
     def of(cls, **values: Any) -> Self:
@@ -43,7 +41,7 @@ class OnMap(Request):
 class WeighedRequest(OnMap):
     """A question whose routes may be chosen by more than their expected energy."""
 
-    objective: Literal[OBJECTIVES] = Field(  # type: ignore[valid-type]
+    objective: Annotated[Literal[OBJECTIVES], WholeMap()] = Field(  # type: ignore[valid-type]
         default="mean",
         description="what the best route is: least expected energy (mean), least energy at a quantile (quantile), or "
         "most likely to arrive with the reserve of the battery (arrival). The last two need a model that knows its "
@@ -53,7 +51,7 @@ class WeighedRequest(OnMap):
         default=0.95,
         description="with the objective quantile: share of drives that take no more energy than what is made least",
     )
-    max_power_w: Annotated[float, within(BATTERY["max_power_w"])] | None = Field(
+    max_power_w: Annotated[Annotated[float, within(BATTERY["max_power_w"])] | None, WholeMap()] = Field(
         default=None,
         description="most power at the robot's speed [W]; where and in which headings driving takes more is blocked",
     )
@@ -61,7 +59,7 @@ class WeighedRequest(OnMap):
     @property
     def chosen_by(self) -> Objective:
         """The objective that was asked for."""
-        from joulemap.service.objectives import Objective
+        from joulemap.service.analysis.objectives import Objective
 
         return Objective(self.objective, self.quantile)
 
@@ -77,7 +75,8 @@ class OnRoute(OnMap):
     snap: bool = Field(
         default=False,
         description="move a start or goal on blocked ground to the nearest free place; a warning says where that is. A "
-        "given path is never moved",
+        "goal that cannot be reached has no verdict unless the nearest place that can is within the robot's length or "
+        "three cells. A given path is never moved",
     )
 
     @model_validator(mode="after")
@@ -161,6 +160,17 @@ class BatteryIn(Request):
         return value
 
 
+OwnBattery = Annotated[BatteryIn | None, Field(description="default: the robot's own, full, without a reserve")]
+Snap = Annotated[
+    bool, Field(description="move places on blocked ground to the nearest free one; warnings say where that is")
+]
+Neighbours = Annotated[Literal[8, 16, 32], Field(description="directions of a step")]
+Confidence = Annotated[
+    Annotated[float, within(QUANTILE)] | None,
+    Field(description="probability with which the battery must last; null where the expected energy decides"),
+]
+
+
 def battery_of(given: BatteryIn | Mapping[str, Any] | None, robot: Robot) -> Battery:
     """The battery of a question; what is left out is as in the robot's own one, full and without a reserve."""
     values = given.model_dump(exclude_none=True) if isinstance(given, BatteryIn) else given or {}
@@ -174,23 +184,12 @@ class Asked(NamedTuple):
     places: Places
 
 
-def on_map(planner: AnyPlanner, wanted: OnMap) -> Asked:
+def on_map(planner: RoutePlanner, wanted: OnMap) -> Asked:
     """Join a planner with the areas and the power that a question keeps its routes to."""
-    from joulemap.service.objectives import limited
-    from joulemap.service.places import Places
+    from joulemap.service.analysis.objectives import limited
+    from joulemap.service.places.places import Places
 
-    places = Places(planner.lattice.frame)
-    within_areas = planner.avoiding(places.areas(wanted.avoid))
-    return Asked(limited(within_areas, getattr(wanted, "max_power_w", None)), places)
-
-
-def in_memory(planner: AnyPlanner, what: str) -> RoutePlanner:
-    """A planner of a whole map, which a question needs."""
-    from joulemap.planner.stored_planner import StoredPlanner
-
-    if isinstance(planner, StoredPlanner):
-        raise InputError(
-            f"{what} needs the whole cost map in memory, and this one is planned on from disk: open it without "
-            "`memory_gb`, or make a cost map with a coarser spacing"
-        )
-    return planner
+    places, most_w = Places(planner.lattice.frame), getattr(wanted, "max_power_w", None)
+    if "avoid" in wanted.model_fields_set:
+        planner = planner.avoiding(places.areas(wanted.avoid))
+    return Asked(planner if most_w is None else limited(planner, most_w), places)

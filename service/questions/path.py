@@ -6,25 +6,27 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from joulemap.model.ranges import SEARCH_S
+from joulemap.model.ranges import COORDINATE_M, HEADING_DEG, SEARCH_S
 from joulemap.planner.planners import PLANNERS
 from joulemap.service.questions.parts import BatteryIn, WeighedRequest, battery_of, on_map
-from joulemap.service.schemas.base import Place, Request, within
+from joulemap.service.schemas.base import Place, Request, WholeMap, within
 
 if TYPE_CHECKING:  # they take their time to load
     from collections.abc import Callable
 
     from joulemap.planner.answers import Plan
     from joulemap.planner.lattice import CostLattice
+    from joulemap.planner.route_planner import RoutePlanner
     from joulemap.planner.verdict.budget import Verdict
     from joulemap.service.exports.track import Track
-    from joulemap.service.questions.parts import AnyPlanner
 
 
 class SearchOptions(Request):
-    """How to search: `RoutePlanner.plan` takes these by the same names."""
+    """How to search: the fields of `RouteOptions` by the same names."""
 
-    planner: Literal[PLANNERS] = Field(default="astar", description="the sampling planners use the whole time limit")  # type: ignore[valid-type]
+    planner: Annotated[Literal[PLANNERS], WholeMap()] = Field(  # type: ignore[valid-type]
+        default="astar", description="the sampling planners use the whole time limit"
+    )
     neighbours: Literal[8, 16, 32] = Field(
         default=16, description="moves per cell of the grid planners without `refine`; with it they are 32"
     )
@@ -33,13 +35,25 @@ class SearchOptions(Request):
         default=5.0, description="how long the sampling planners search [s]"
     )
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="seed of the sampling planners")
-    alternatives: int = Field(default=0, ge=0, le=10, description="most other good paths to look for")
-    bound: bool = Field(
+    alternatives: Annotated[int, WholeMap()] = Field(
+        default=0, ge=0, le=10, description="most other good paths to look for"
+    )
+    bound: Annotated[bool, WholeMap()] = Field(
         default=False, description="search for a sharper `bound_j`, which takes some seconds once per cost map"
     )
     snap: bool = Field(
         default=False,
-        description="move a start or goal on blocked ground to the nearest free place; a warning says where that is",
+        description="move a start or goal on blocked ground to the nearest free place, and a goal that cannot be "
+        "reached to the nearest place that can, however far that is (`goal_moved_m`); a warning says where",
+    )
+    furthest_m: float = Field(
+        default=COORDINATE_M.high, ge=0.0, le=COORDINATE_M.high, description="furthest that `snap` moves a place [m]"
+    )
+    start_heading_deg: Annotated[float, within(HEADING_DEG)] | None = Field(
+        default=None, description="heading at the start, for a robot with a turning radius [deg, clockwise from north]"
+    )
+    goal_heading_deg: Annotated[float, within(HEADING_DEG)] | None = Field(
+        default=None, description="heading at the goal, for a robot with a turning radius [deg, clockwise from north]"
     )
 
 
@@ -59,25 +73,44 @@ class Found(NamedTuple):
     verdict: Verdict | None
 
 
-def ask(planner: AnyPlanner, wanted: PathRequest, *, progress: Callable[[float], None] | None = None) -> Found:
+def ask(planner: RoutePlanner, wanted: PathRequest, *, progress: Callable[[float], None] | None = None) -> Found:
     """Find the best path between two places, and the shortest one beside it."""
-    from joulemap.service.feasibility import judge_routes
-    from joulemap.service.objectives import plan_by
+    from joulemap.planner.route_planner import RouteOptions
+    from joulemap.service.analysis.feasibility import judge_routes
+    from joulemap.service.analysis.objectives import plan_by
 
     asked, lattice = on_map(planner, wanted), planner.lattice
     battery = None if wanted.battery is None else battery_of(wanted.battery, lattice.robot)
     ends = asked.places(wanted.start, "start"), asked.places(wanted.goal, "goal")
-    options = {name: getattr(wanted, name) for name in SearchOptions.model_fields}
-    plan = plan_by(asked.planner, *ends, wanted.chosen_by, battery=battery, progress=progress, **options)
+    how = RouteOptions(progress=progress, **{name: getattr(wanted, name) for name in SearchOptions.model_fields})
+    plan = plan_by(asked.planner, *ends, wanted.chosen_by, how, battery=battery)
     plan, lattice = asked.places.noted(plan), asked.planner.lattice
     return Found(plan, lattice, None if battery is None else judge_routes(lattice, [plan.route], battery))
 
 
 def answer(found: Found, warnings: list[str]) -> dict[str, Any]:
-    """The values of `PathOut`."""
-    from joulemap.service.schemas.answers import path_values
+    """The values of `PathOut`: a model of so many numbers takes longer to make than to write."""
+    from joulemap.service.problems import jsonable
+    from joulemap.service.schemas.answers import path_points, profile_pieces, route_values, verdict_out
 
-    return path_values(found.plan, found.verdict, warnings)
+    plan, verdict = found.plan, found.verdict
+    route, shortest = plan.route, plan.shortest
+    return {
+        **route_values(route),
+        "profile": profile_pieces([route]),
+        "shortest": {"energy_j": shortest.energy_j, "length_m": shortest.length_m, "path": path_points(shortest)},
+        "alternatives": [route_values(other) for other in plan.others],
+        "saving_j": plan.saving_j,
+        "saving_percent": 100.0 * plan.saving_j / shortest.energy_j if shortest.energy_j > 0 else 0.0,
+        "battery": verdict_out(verdict).model_dump() if verdict is not None else None,
+        "bound_j": plan.bound_j,
+        "gap": plan.gap,
+        "objective": plan.details.get("objective"),
+        "planner": plan.planner,
+        "details": jsonable({name: value for name, value in plan.details.items() if name != "objective"}),
+        "warnings": [*warnings, *route.notes],
+        "crs": route.crs,
+    }
 
 
 def track(found: Found, warnings: list[str]) -> Track:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from joulemap.model.errors import InputError
 from joulemap.model.ranges import BATTERY, MAX_CHARGES, QUANTILE
-from joulemap.service.questions.parts import BatteryIn, OnMap, battery_of, in_memory, on_map
+from joulemap.service.questions.parts import OnMap, OwnBattery, Snap, battery_of, on_map
 from joulemap.service.schemas.base import Place, ResponseModel, within
 
 if TYPE_CHECKING:  # they take their time to load
@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # they take their time to load
     from joulemap.planner.areas.reach_map import ReachMap
     from joulemap.planner.lattice import CostLattice
     from joulemap.planner.route import Route
-    from joulemap.service.questions.parts import AnyPlanner
+    from joulemap.planner.route_planner import RoutePlanner
 
 Position = list[float]
 
@@ -27,7 +27,7 @@ class ReachRequest(OnMap):
     """From where, with which battery, and how sure."""
 
     start: Place = Field(examples=[[12.5, 40.5]])
-    battery: BatteryIn | None = Field(default=None, description="default: the robot's own, full, without a reserve")
+    battery: OwnBattery = None
     charges: list[Annotated[float, within(BATTERY["charge"])]] | None = Field(
         default=None,
         min_length=1,
@@ -35,17 +35,13 @@ class ReachRequest(OnMap):
         description="states of charge at the start, 0..1, each answered on its own; default: that of the battery",
         examples=[[0.4, 0.6, 0.8]],
     )
-    confidence: float | None = Field(
+    confidence: Annotated[float, within(QUANTILE)] | None = Field(
         default=None,
-        ge=QUANTILE.low,
-        le=QUANTILE.high,
         description="probability with which the battery is to last; default: the expected energy decides",
         examples=[0.9],
     )
     round_trip: bool = Field(default=False, description="it must come back to the start, by the best way back")
-    snap: bool = Field(
-        default=False, description="move a start on blocked ground to the nearest free place; a warning says where"
-    )
+    snap: Snap = False
 
 
 class ReachLevel(ResponseModel):
@@ -71,7 +67,7 @@ class ReachOut(ResponseModel):
     crs: str | None
 
 
-def ask(planner: AnyPlanner, wanted: ReachRequest) -> ReachMap:
+def ask(planner: RoutePlanner, wanted: ReachRequest) -> ReachMap:
     """Where a battery lasts to from a start, one way or there and back, for one or more charges.
 
     The border is where a route that is planned to it needs all of the charge above the reserve. The first question
@@ -88,7 +84,7 @@ def ask(planner: AnyPlanner, wanted: ReachRequest) -> ReachMap:
     if not 1 <= len(levels) <= MAX_CHARGES:
         raise InputError(f"`charges` has {len(levels)} values; from 1 to {MAX_CHARGES} can be answered at a time")
     batteries = [replace(battery, charge=charge) for charge in levels]
-    in_memory(planner, "a map of reach")
+    planner.needs_memory("a map of reach")
     if wanted.confidence is not None:
         _check_confidence(planner.lattice, wanted.confidence)
     found, notes = asked.planner.reach(start, round_trip=wanted.round_trip, snap=wanted.snap)
@@ -113,7 +109,7 @@ def ask(planner: AnyPlanner, wanted: ReachRequest) -> ReachMap:
 def _need_with(confidence: float) -> Need:
     """The energy that is enough with a probability, at every point of the routes."""
 
-    from joulemap.service.route_uncertainty import odds_along
+    from joulemap.service.analysis.route_uncertainty import odds_along
 
     def _need(routes: Sequence[Route]) -> float:
         odds = odds_along(routes)
@@ -161,7 +157,7 @@ def answer(found: ReachMap, warnings: list[str]) -> ReachOut:
 
 def reach_geojson(found: ReachMap, warnings: list[str], *, coordinates: str = "wgs84") -> dict[str, Any]:
     """The same answer as GeoJSON (RFC 7946), in longitude and latitude [degrees], or in the map's x and y [m]."""
-    from joulemap.service.coordinates import to_wgs84
+    from joulemap.service.places.coordinates import to_wgs84
 
     crs = found.frame.crs
     said = answer(found, warnings)

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from joulemap.model.ranges import COORDINATE_M, HEIGHT_M, NOISE_LENGTH_M, NOISE_M, RESOLUTION_M, SCALE_M, STORED
-from joulemap.service.schemas.base import ClosedModel, Name, within
+from joulemap.service.schemas.base import ClosedModel, FilePlace, InPython, Name, within
 
 
 class UploadOptions(ClosedModel):
@@ -53,24 +53,26 @@ class UploadOptions(ClosedModel):
         "`auto` (its UTM zone), EPSG:n or WKT; `resolution_m` is then the side of the new cells",
         examples=["auto"],
     )
-    window: str | None = Field(
+    layer: Annotated[bool, InPython()] = Field(
+        default=False,
+        description="the file is a raster of kinds of ground, obstacles or the like, which a cost map names as a "
+        "layer: its numbers stay as they are; where it must be reprojected (in degrees, rotated) each is that of the "
+        "nearest cell",
+    )
+    window: Annotated[str | None, InPython("str | Sequence[float] | None")] = Field(
         default=None,
         min_length=7,
         max_length=200,
         description="read a part of the map: two opposite corners, x,y of its CRS or latitude,longitude",
         examples=["366990,4064300,367080,4064400"],
     )
-    noise_m: float | None = Field(
+    noise_m: Annotated[float, within(NOISE_M)] | None = Field(
         default=None,
-        ge=NOISE_M.low,
-        le=NOISE_M.high,
         description="standard deviation of the survey's noise [m]; 0 takes the map as it is; estimated by default",
         examples=[0.05],
     )
-    noise_length_m: float = Field(
+    noise_length_m: Annotated[float, within(NOISE_LENGTH_M)] = Field(
         default=0.0,
-        ge=NOISE_LENGTH_M.low,
-        le=NOISE_LENGTH_M.high,
         description="length over which that noise is alike [m], as in photogrammetry; needs `noise_m`; 0 where it is "
         "independent from cell to cell",
         examples=[0.3],
@@ -80,12 +82,17 @@ class UploadOptions(ClosedModel):
 class ReadingOptions(UploadOptions):
     """What the heightmap file does not say, and files of what else is known of the ground."""
 
-    layers: dict[str, list[str]] | None = Field(
+    layers: Annotated[
+        dict[str, list[str]] | None, InPython("Mapping[str, str | Path | Sequence[str | Path]] | None")
+    ] = Field(
         default=None,
-        description="file of what is known of the ground beside its height, as `kinds`, `obstacles` (YAML of a Nav2 "
-        "map, raster, GeoJSON), `free`, `factor` or `cost` [J/m] = FILE; may be given several times",
+        description="layers over the heightmap, each in its own resolution and coordinate system: files of `kinds` "
+        "(kinds of ground), `obstacles` (raster, GeoJSON, or YAML of a Nav2 map), `free` (the only ground to be driven "
+        "on), `factor` (of the energy), `cost` (added J/m) or `height` (in place of the map's, of bridges and ramps); "
+        "there may be several of each",
     )
-    legend: str | None = Field(
+    legend: Annotated[FilePlace | None, InPython("str | Path | Mapping[str, Any] | None")] = Field(
         default=None,
-        description="TOML file with a table for every kind of ground: its `value` in the layer, and what it costs",
+        description="legend of kinds of ground (TOML): a table for each, with its `value` in the layer, and "
+        "`rolling_resistance` or `factor`, with `std`, or `blocked`; default: those of the library",
     )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from pydantic import Field
 
 from joulemap.model.ranges import MAX_STOPS, SEARCH_S
-from joulemap.service.questions.parts import BatteryIn, OnMap, battery_of, on_map
+from joulemap.service.questions.parts import BatteryIn, Neighbours, OnMap, Snap, battery_of, on_map
 from joulemap.service.schemas.base import Place, Request, within
 
 if TYPE_CHECKING:  # they take their time to load
@@ -18,17 +18,15 @@ if TYPE_CHECKING:  # they take their time to load
     from joulemap.planner.route_planner import RoutePlanner
     from joulemap.planner.verdict.budget import Verdict
     from joulemap.service.exports.track import Track
-    from joulemap.service.schemas.tours import TourOut
+    from joulemap.service.schemas.planning import TourOut
 
 
 class TourOptions(Request):
     """How to search: `RoutePlanner.tour` takes these by the same names."""
 
-    neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell of the search")
+    neighbours: Neighbours = 16
     refine: bool = Field(default=True, description="shorten the legs where they need not follow the grid")
-    snap: bool = Field(
-        default=False, description="move stops on blocked ground to the nearest free place; warnings say where that is"
-    )
+    snap: Snap = False
     time_limit_s: Annotated[float, within(SEARCH_S)] = Field(
         default=10.0, description="longest time for proving that the order is the best one [s]"
     )
@@ -58,7 +56,7 @@ class Found(NamedTuple):
 
 def ask(planner: RoutePlanner, wanted: TourRequest, *, progress: Callable[[float], None] | None = None) -> Found:
     """Find the round trip of least energy that visits all stops and returns to the first one."""
-    from joulemap.service.feasibility import judge_routes
+    from joulemap.service.analysis.feasibility import judge_routes
 
     asked = on_map(planner, wanted)
     stops = [asked.places(stop, f"stop {k}") for k, stop in enumerate(wanted.stops)]
@@ -72,9 +70,30 @@ def ask(planner: RoutePlanner, wanted: TourRequest, *, progress: Callable[[float
 
 def answer(found: Found, warnings: list[str]) -> TourOut:
     """As it is sent."""
-    from joulemap.service.schemas.tours import tour_out
+    from joulemap.service.analysis.route_uncertainty import quantiles_of_route
+    from joulemap.service.schemas.answers import profile_pieces, route_values, verdict_out
+    from joulemap.service.schemas.planning import RouteOut, TourOut
 
-    return tour_out(found.trip, found.verdict, warnings)
+    trip, verdict = found.trip, found.verdict
+    legs = [RouteOut(**route_values(leg)) for leg in trip.legs]
+    sums = ("energy_j", "energy_wh", "length_m", "duration_s", "climb_m", "descent_m")
+    of_all: dict[str, Any] = {name: sum(getattr(leg, name) for leg in legs) for name in sums}
+    of_all |= quantiles_of_route(*trip.legs)
+    radii = [leg.tightest_radius_m for leg in legs if leg.tightest_radius_m is not None]
+    return TourOut(
+        **of_all,
+        tightest_radius_m=min(radii, default=None),
+        path=[*legs[0].path, *(point for leg in legs[1:] for point in leg.path[1:])],
+        order=list(trip.order),
+        profile=profile_pieces(trip.legs),
+        legs=legs,
+        grid_energy_j=trip.grid_energy_j,
+        bound_j=trip.bound_j,
+        proven=trip.proven,
+        battery=verdict_out(verdict) if verdict is not None else None,
+        warnings=[*warnings, *trip.notes],
+        crs=trip.legs[0].crs,
+    )
 
 
 def track(found: Found, warnings: list[str]) -> Track:

@@ -1,4 +1,4 @@
-"""How a model is trained on measured runs, and evaluated: `train_on_sites` takes these by the same names."""
+"""How a model is trained on measured runs, and evaluated: `Learner` takes these by the same names."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from joulemap.model.energy.architectures import ARCHITECTURES, DEFAULT_ARCHITECTURE
-from joulemap.service.schemas.base import Request
+from joulemap.service.schemas.base import FilePlace, Request
 
 ModelPlace = Annotated[str, Field(json_schema_extra={"format": "model"})]
 """The name of a model, or its folder."""
-FilePlace = Annotated[str, Field(json_schema_extra={"format": "path"})]
 
 
 class EvaluationOptions(Request):
@@ -22,6 +21,17 @@ class EvaluationOptions(Request):
         description="take charge [A s] times the robot's nominal voltage as the energy, for logs whose voltage is "
         "wrong; logs without a voltage are always read like this",
     )
+
+
+class DistillationOptions(EvaluationOptions):
+    """What a student learns from the answers of its teacher."""
+
+    start_from: ModelPlace = Field(
+        default="default", description="compact model that the student starts from: default, or a folder"
+    )
+    answers: int = Field(default=20_000, ge=100, description="places and headings that the teacher is asked for")
+    epochs: int | None = Field(default=None, ge=1, description="passes over the data; default: 30")
+    seed: int = Field(default=0, ge=0, description="the same seed and data give the same weights")
 
 
 class TrainingOptions(EvaluationOptions):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from annotated_types import Interval
@@ -27,6 +27,17 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 from joulemap.model.errors import nearest_name
 from joulemap.model.ranges import COORDINATE_M, LONGEST_NAME, NAME_PATTERN, ROBOT, Range
 from joulemap.model.robot import Robot
+
+
+class InPython(NamedTuple):
+    """Marks a field whose type has other words in Python; without words, one that only HTTP has."""
+
+    words: str = ""
+
+
+class WholeMap(NamedTuple):
+    """Marks a field that no planner takes which leaves its cost map on disk."""
+
 
 UNKNOWN_FIELD = "unknown_field"
 """The type of pydantic's finding for a field that a request does not have."""
@@ -84,22 +95,12 @@ class ResponseModel(BaseModel):
 
 
 def within(allowed: Range) -> Interval:
-    """Return the bounds of a range as a type's annotation.
-
-    Parameters
-    ----------
-    allowed : Range
-        Of `joulemap.model.ranges`.
-
-    Returns
-    -------
-    Interval
-        For `Annotated`.
-    """
+    """Return the bounds of a range as a type's annotation."""
     return Interval(ge=allowed.low, le=allowed.high)
 
 
 Coordinate = Annotated[float, within(COORDINATE_M)]
+FilePlace = Annotated[str, Field(json_schema_extra={"format": "path"})]
 Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=NAME_PATTERN)]
 Point = Annotated[
     list[Coordinate],
@@ -165,20 +166,7 @@ _MOST_FLAGS = 1_000
 
 
 def quick_points(points: Any, validate: Callable[[Any], Any]) -> Any:
-    """Check many points as an array, in a quarter of the time; what is no array of points goes one by one.
-
-    Parameters
-    ----------
-    points : object
-        As it was sent.
-    validate : callable
-        Checks it one by one, and says what is wrong.
-
-    Returns
-    -------
-    list or ndarray of float64, (n, 2 or 3)
-        The points; as an array where they were checked as one.
-    """
+    """Check many points as an array, in a quarter of the time; what is no array of points goes one by one."""
     if not isinstance(points, list) or len(points) < _MANY:
         return validate(points)
     try:  # in slices, because no other thread runs during one call
@@ -213,11 +201,13 @@ _ROBOT_WORDS = {
     "max_grade_deg": "steepest slope along the motion that is allowed, up and down [deg]",
     "max_cross_slope_deg": "steepest slope across the motion that is allowed [deg]",
     "rolling_resistance": "coefficient of rolling resistance, dimensionless",
+    "drivetrain_efficiency": "share of the battery's energy that lifts the robot on a climb, 0.1..1; 0: not known",
     "regeneration": "share of the energy released downhill that returns to the battery, 0..0.99",
     "turn_j_per_rad": "energy of turning, per radian [J/rad]",
     "tracking_std_m": "standard deviation of how far beside its path the robot drives [m]; 0: paths keep no margin",
     "clearance_m": "least distance between the robot's outline and every obstacle [m]",
     "centre_ahead_m": "how far the middle of its outline lies ahead of the point that follows the route [m]",
+    "min_turning_radius_m": "radius of the tightest curve that it drives [m]; 0: it turns on the spot",
     "gravity_mps2": "gravity where it drives [m/s2]; 1.62 on the Moon, 3.71 on Mars",
 }
 _KIND: dict[str, Any] = {f.name: str if f.name == "name" else float for f in fields(Robot)}
@@ -247,18 +237,7 @@ RobotOut = create_model(  # type: ignore[call-overload]
 
 
 def robot_values(robot: BaseModel | None) -> dict[str, Any]:
-    """Return the fields of a robot that a request gave.
-
-    Parameters
-    ----------
-    robot : RobotIn or None
-        What was sent.
-
-    Returns
-    -------
-    dict
-        Without the fields that were left out.
-    """
+    """Return the fields of a robot that a request gave."""
     return robot.model_dump(exclude_none=True) if robot is not None else {}
 
 

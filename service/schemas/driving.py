@@ -73,19 +73,45 @@ class DriveList(ResponseModel):
     items: list[DriveOut]
 
 
+class ChargeAtOut(ResponseModel):
+    """A place of the route of a drive."""
+
+    distance_m: float = Field(description="from the start [m]")
+    x: float = Field(description="world x, east [m]")
+    y: float = Field(description="world y, north [m]")
+    planned: float = Field(description="state of charge there as planned; below 0: empty before")
+    charge: float = Field(ge=0, le=1, description="what it was behind the robot; ahead of it what is expected")
+    low: float = Field(ge=0, le=1, description="5 % of drives have less there")
+    high: float = Field(ge=0, le=1, description="5 % of drives have more there")
+
+
+class ChargeOut(ResponseModel):
+    """The state of charge along the route of a drive."""
+
+    at_m: float = Field(description="where the robot is, from the start of the route [m]")
+    position: list[float] | None = Field(description="where its last sample was, world x, y [m]; null: none was sent")
+    reserve: float = Field(description="share of the battery that the robot must keep")
+    places: list[ChargeAtOut] = Field(description="at most 200, in order")
+
+
+class BetterRouteOut(ResponseModel):
+    """Another way from where the robot is to the goal."""
+
+    path: list[list[float]] = Field(description="world x, y [m]")
+    length_m: float = Field(description="length [m]")
+    energy_j: float = Field(description="energy at what driving costs in this run [J]")
+    saving_j: float = Field(description="what it saves of the rest of the present route [J]")
+    saving_std_j: float = Field(description="standard deviation of that [J]")
+
+
+class BetterOut(ResponseModel):
+    """Whether another way has become better."""
+
+    route: BetterRouteOut | None = Field(description="null where none is cheaper by more than its uncertainty")
+
+
 def drive_out(row: DriveRow) -> DriveOut:
-    """Return a drive as it is sent.
-
-    Parameters
-    ----------
-    row : DriveRow
-        Of the database.
-
-    Returns
-    -------
-    DriveOut
-        With its forecast.
-    """
+    """Return a drive as it is sent."""
     return DriveOut(
         id=row.id,
         costmap_id=row.costmap_id,

@@ -23,7 +23,7 @@ def findings(errors: Sequence[Mapping[str, Any]]) -> tuple[str, list[dict[str, A
 
 def _field_error(error: Mapping[str, Any]) -> dict[str, Any]:
     """One of pydantic's findings: which field, what is wrong with it, and the value that was sent."""
-    place = [str(part) for part in error["loc"]] or [BODY]
+    place = [text for part in error["loc"] if not (text := str(part)).startswith("function-")] or [BODY]  # of pydantic
     if error["type"] == "json_invalid":  # the second part of the place is the character
         reason = str(error.get("ctx", {}).get("error", error["msg"]))
         return {"field": BODY, "message": f"{_THE_BODY}is no valid JSON: {reason} at character {place[-1]}"}
@@ -31,6 +31,8 @@ def _field_error(error: Mapping[str, Any]) -> dict[str, Any]:
         return {"field": BODY, "message": f"{_THE_BODY}must be a JSON object with Content-Type: application/json"}
     field = ".".join(place[1:] or place)  # the first says where: body, query, path, header, or a form field
     message = str(error["msg"]).removeprefix("Value error, ")
+    if error["type"] == "too_short" and "ctx" in error:
+        message = "give at least {min_length}; {actual_length} are given".format(**error["ctx"])
     found = {"field": jsonable(field), "message": jsonable(message)}
     if error["type"] != "missing" and "input" in error:
         found["value"] = _shown(error["input"])

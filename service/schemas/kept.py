@@ -33,22 +33,7 @@ Answer = TypeVar("Answer", bound=BaseModel)
 def shown(row: Row, answer: Callable[[Row], Answer]) -> Answer:
     """Return the answer about a row.
 
-    Parameters
-    ----------
-    row : HeightmapRow, RunsRow or JobRow
-        As it is in the database.
-    answer : callable
-        Makes the answer.
-
-    Returns
-    -------
-    BaseModel
-        The answer.
-
-    Raises
-    ------
-    ConflictError
-        If an older version stored values in it that are not valid.
+    Raises ConflictError if an older version stored values in it that are not valid.
     """
     try:
         return answer(row)
@@ -58,20 +43,7 @@ def shown(row: Row, answer: Callable[[Row], Answer]) -> Answer:
 
 
 def listed(rows: Iterable[Row], answer: Callable[[Row], Answer]) -> list[Answer | UnreadableOut]:
-    """Return the answers about the rows of a list; one that cannot be shown has a problem in its place.
-
-    Parameters
-    ----------
-    rows : iterable of HeightmapRow, RunsRow or JobRow
-        As they are in the database.
-    answer : callable
-        Makes the answer about one.
-
-    Returns
-    -------
-    list of BaseModel
-        In the same order.
-    """
+    """Return the answers about the rows of a list; one that cannot be shown has a problem in its place."""
     found: list[Answer | UnreadableOut] = []
     for row in rows:
         try:
@@ -90,35 +62,13 @@ def _reason(error: Exception) -> str:
 
 
 def heightmap_out(row: HeightmapRow) -> HeightmapOut:
-    """Return the answer about a heightmap.
-
-    Parameters
-    ----------
-    row : HeightmapRow
-        As it is in the database.
-
-    Returns
-    -------
-    HeightmapOut
-        With links.
-    """
+    """Return the answer about a heightmap."""
     links = {"self": f"/v1/heightmaps/{row.id}"}
     return HeightmapOut(id=row.id, name=row.name, created_at=_utc(row.created_at), links=links, **row.stats)
 
 
 def costmap_out(row: CostmapRow) -> CostmapOut:
-    """Return the answer about a cost map, done or not.
-
-    Parameters
-    ----------
-    row : CostmapRow
-        As it is in the database.
-
-    Returns
-    -------
-    CostmapOut
-        With links to what can be asked now.
-    """
+    """Return the answer about a cost map, done or not."""
     base = f"/v1/costmaps/{row.id}"
     summary = row.summary or {}
     links = {"self": base, "heightmap": f"/v1/heightmaps/{row.heightmap_id}"}
@@ -175,38 +125,15 @@ def _job(row: JobRow) -> dict[str, Any]:
 
 
 def runs_out(row: RunsRow) -> RunsOut:
-    """Return the answer about runs that were sent together.
-
-    Parameters
-    ----------
-    row : RunsRow
-        As it is in the database.
-
-    Returns
-    -------
-    RunsOut
-        With links.
-    """
+    """Return the answer about runs that were sent together."""
     runs = [RunOut(**run) for run in row.stats]
     return RunsOut(id=row.id, created_at=_utc(row.created_at), runs=runs, links={"self": f"/v1/runs/{row.id}"})
 
 
 def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> CalibrationOut:
-    """Return the answer about a calibration, done or not.
-
-    Parameters
-    ----------
-    row : CalibrationRow
-        As it is in the database.
-    with_report : bool, optional
-        Whether the report is part of the answer; lists leave it out.
-
-    Returns
-    -------
-    CalibrationOut
-        With links.
-    """
+    """Return the answer about a calibration, done or not."""
     base, asked, summary = f"/v1/calibrations/{row.id}", row.request, row.summary or {}
+    report = summary.get("report")
     links = {"self": base}
     if row.heightmap_id is not None:
         links["heightmap"] = f"/v1/heightmaps/{row.heightmap_id}"
@@ -224,7 +151,8 @@ def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> Calibra
         robot=RobotOut(**asked["robot"]),
         model=asked["model"],
         calibrated_model=summary.get("model"),
-        report=summary.get("report") if with_report else None,
+        found=[one["label"] for one in report["effects"]] if report else None,
+        report=report if with_report else None,
         links=links,
     )
 

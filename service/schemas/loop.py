@@ -108,6 +108,9 @@ class CalibrationOut(JobOut):
         description="id of the calibrated model, for cost maps",
         examples=["cal-2f7719c0be04"],
     )
+    found: list[str] | None = Field(
+        description="names of the effects that were found, in words; in lists too", examples=[["turning"]]
+    )
     report: dict[str, Any] | None = Field(
         description="what was found: the content of report.json; null in lists. Keys of former versions are deprecated"
     )

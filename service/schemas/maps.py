@@ -1,26 +1,13 @@
-"""Heightmaps and cost maps in requests and answers: every field with its unit."""
+"""Heightmaps and cost maps in requests and answers, and what the page draws of them: every field with its unit."""
 
 from __future__ import annotations
 
 import datetime as dt
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
-from joulemap.model.ranges import HEADINGS, SPACING_M
-from joulemap.model.terrain.layers.kinds import MOST_FACTOR, MOST_KINDS, MOST_RESISTANCE
-from joulemap.model.terrain.layers.layer import COST, FACTOR, LIMITS, ROLES
-from joulemap.planner.lattice.build import DEFAULT_HEADINGS
-from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.schemas.base import (
-    JobOut,
-    Problem,
-    Request,
-    ResponseModel,
-    RobotIn,
-    RobotOut,
-    within,
-)
+from joulemap.service.schemas.base import JobOut, Problem, ResponseModel, RobotOut
 
 
 class HeightmapOut(ResponseModel):
@@ -49,6 +36,7 @@ class HeightmapOut(ResponseModel):
         examples=[0.031],
     )
     noise_length_m: float = Field(default=0.0, description="length over which that noise is alike [m]", examples=[0.0])
+    layer: bool = Field(default=False, description="whether its numbers are no heights but a layer of cost maps")
     band: int | None = Field(
         default=None, description="band of the sent GeoTIFF that holds the heights, from 1; null where none was named"
     )
@@ -56,84 +44,6 @@ class HeightmapOut(ResponseModel):
         default=[], description="what was done to the heights as they were read, and what of them is hardly right"
     )
     links: dict[str, str]
-
-
-LayerRole = Literal["kinds", "obstacles", "free", "factor", "cost"]
-
-
-StoredValue = Annotated[int, Field(ge=-(2**31), le=2**32 - 1)]
-"""A value of a raster, which has at most 32 bits."""
-
-
-class KindIn(Request):
-    """What a kind of ground costs: one of `rolling_resistance` and `factor`, or nothing where it is `blocked`."""
-
-    rolling_resistance: float | None = Field(
-        default=None, ge=0.0, le=MOST_RESISTANCE, description="in place of the robot's own", examples=[0.06]
-    )
-    factor: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=MOST_FACTOR,
-        description="of the energy of motion on the robot's own ground",
-        examples=[None],
-    )
-    std: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=MOST_FACTOR,
-        description="standard deviation of whichever of both is given",
-        examples=[0.02],
-    )
-    blocked: bool = Field(default=False, description="no part of the robot may be over it", examples=[False])
-    value: Annotated[list[StoredValue], Field(max_length=MOST_KINDS)] | StoredValue = Field(
-        default=[],
-        description="numbers that mean it where polygons have the property `kind`, `value` or `DN` as a number",
-        examples=[2],
-    )
-
-
-class CostmapOptions(Request):
-    """Settings of a cost map."""
-
-    robot: RobotIn | None = Field(default=None, description="default: the paper's 4WD robot")
-    model: str = Field(
-        default=DEFAULT_MODEL,
-        max_length=100,
-        description="`physics`, `default`, or the id of a trained model",
-        examples=["physics"],
-    )
-    spacing_m: Annotated[float, within(SPACING_M)] = Field(
-        default=1.0, description="side of a cell [m]", examples=[1.0]
-    )
-    layers: dict[LayerRole, dict[str, Any]] = Field(
-        default={},
-        max_length=len(ROLES),
-        description="what is known of the ground beside its height, as GeoJSON with polygons, in the map's CRS or in "
-        "degrees: `kinds` (features with the property `kind`, a name or a value of the legend), `obstacles`, `free` "
-        "(the only ground to be driven on), `factor` (property `factor`, of the energy, 0 to "
-        f"{LIMITS[FACTOR][1]:,.0f}) or `cost` (property `cost`, added J/m, 0 to {LIMITS[COST][1]:,.0f})",
-        examples=[{}],
-    )
-    legend: dict[str, KindIn] = Field(
-        default={},
-        max_length=MOST_KINDS,
-        description="what kinds of ground cost, by name; others are those of the library",
-        examples=[{}],
-    )
-    headings: int = Field(
-        default=DEFAULT_HEADINGS,
-        ge=int(HEADINGS.low),
-        le=int(HEADINGS.high),
-        description="number of heading bins",
-        examples=[16],
-    )
-
-
-class CostmapRequest(CostmapOptions):
-    """A cost map of a heightmap that was sent before."""
-
-    heightmap_id: str = Field(max_length=100, examples=["hm-5f0c2a9d41be"])
 
 
 class FrameOut(ResponseModel):
@@ -210,3 +120,56 @@ class AtOut(ResponseModel):
     headings_deg: list[float] = Field(description="clockwise from north [deg]")
     energy_per_m: list[float | None] = Field(description="[J/m] per heading; null where it is blocked")
     blocked: list[str | None] = Field(description="reason per heading; null where it is not blocked")
+
+
+class ColourScaleOut(ResponseModel):
+    """What the colours of a layer mean."""
+
+    low: float = Field(description="value of the first colour; what is below has it too [J/m]")
+    high: float = Field(description="value of the last colour; what is above has it too [J/m]")
+    colours: list[str] = Field(description="evenly spaced from low to high, as #rrggbb")
+
+
+class BlockedColourOut(ResponseModel):
+    """How blocked ground is painted."""
+
+    reason: str = Field(description="why it is blocked", examples=["step"])
+    colour: str = Field(description="as #rrggbb")
+
+
+class LayersOut(ResponseModel):
+    """Where the layers of a cost map lie, and what their colours mean."""
+
+    bounds: list[float] = Field(
+        min_length=4, max_length=4, description="[west, south, east, north] of the pictures of `layer.png` [m]"
+    )
+    height_min_m: float | None = Field(description="lowest known height [m]")
+    height_max_m: float | None = Field(description="highest known height [m]")
+    mean: ColourScaleOut = Field(description="of the view `mean`")
+    heading: ColourScaleOut = Field(description="of the view `heading`, the same for all headings")
+    directionality: ColourScaleOut = Field(description="of the view `directionality`")
+    blocked: list[BlockedColourOut] = Field(description="a colour for each reason")
+    lat_lon: list[list[list[float]]] | None = Field(
+        description="latitude and longitude [deg] of the map's corners, middles of its edges and its middle: three "
+        "rows from north to south, each from west to east; null where the CRS is unknown"
+    )
+    piece_levels: int = Field(description="how many levels `piece.png` has; 0 where `layer.png` shows every cell")
+    piece_pixels: int = Field(description="longest side of a piece [pixels]; smaller at the east and south edge")
+
+
+class RosesOut(ResponseModel):
+    """Energy per metre by heading at evenly spaced cells."""
+
+    headings_deg: list[float] = Field(description="clockwise from north [deg]")
+    points: list[list[float]] = Field(description="world [x, y] of each cell [m]")
+    energy_per_m: list[list[float | None]] = Field(
+        description="[J/m] per heading, for each cell; null where it is blocked"
+    )
+
+
+class SurfaceOut(ResponseModel):
+    """Heights on a coarse grid, for a view in three dimensions."""
+
+    x: list[float] = Field(description="from west to east [m]")
+    y: list[float] = Field(description="from north to south [m]")
+    z: list[list[float | None]] = Field(description="heights, a row for each y [m]; null where unknown")

@@ -131,6 +131,14 @@ class RouteOut(ResponseModel):
     duration_s: float = Field(description="time at the robot's speed [s]", examples=[194.2])
     climb_m: float = Field(ge=0, description="sum of all ascents [m]", examples=[4.2])
     descent_m: float = Field(ge=0, description="sum of all descents [m]", examples=[1.1])
+    goal_moved_m: float = Field(
+        default=0.0, ge=0, description="how far `snap` moved the goal, or it was moved within its cell [m]"
+    )
+    tightest_radius_m: float | None = Field(
+        default=None,
+        ge=0,
+        description="radius of its tightest curve, an arc within its legs [m]; null if straight",
+    )
     path: list[Point3] = Field(repr=False)
 
 
@@ -184,3 +192,19 @@ class FeasibilityOut(VerdictOut):
         "null unless asked for",
     )
     warnings: list[str]
+
+
+class TourOut(RouteOut):
+    """The round trip of least energy. Turning on arrival at a stop is not counted."""
+
+    order: list[int] = Field(
+        description="numbers of the stops in the order of the visit, 0 first", examples=[[0, 2, 1]]
+    )
+    profile: list[PieceOut] = Field(repr=False, description="energy and height along the whole tour")
+    legs: list[RouteOut] = Field(description="from each stop to the next, and from the last back to the first")
+    grid_energy_j: float = Field(description="energy of the tour along the grid, before `refine` [J]")
+    bound_j: float = Field(description="lower bound of the energy of any order along the grid [J]")
+    proven: bool = Field(description="whether no other order costs less energy along the grid")
+    battery: VerdictOut | None = Field(description="whether the battery lasts; null unless asked for")
+    warnings: list[str]
+    crs: str | None

@@ -19,11 +19,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import create_engine, delete, func, select
+from sqlalchemy import delete, func, select
 from sqlalchemy.engine import Engine
 from sqlalchemy.orm import Session
 
 from joulemap.model.errors import ConflictError, InputError
+from joulemap.service.storage.files import remove
+from joulemap.service.storage.kept import engine_of
 from joulemap.service.storage.private import FOLDER_MODE
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import (
@@ -32,7 +34,6 @@ from joulemap.service.storage.tables import (
     JOBS,
     Base,
     CalibrationRow,
-    CostmapRow,
     HeightmapRow,
     RunsRow,
 )
@@ -58,7 +59,7 @@ def back_up(
     partial.mkdir(mode=FOLDER_MODE, parents=True)  # it holds the hashes of the keys
     try:
         _copy_database(store.engine, partial / DATABASE)
-        copied = create_engine(f"sqlite:///{partial / DATABASE}")
+        copied = engine_of(f"sqlite:///{partial / DATABASE}")
         files: dict[str, tuple[int, str]] = {}
         with Session(copied) as session:
             wanted = [*_rows(session, store, models_dir), *_trained(models_dir)]
@@ -75,7 +76,7 @@ def back_up(
                     deleted = True
                 if deleted:
                     gone.add((table, row_id))
-                    _remove(partial / place)
+                    remove(partial / place)
                 else:
                     files |= found
                 progress((number + 1) / len(wanted))
@@ -127,7 +128,7 @@ def restore(
         if _copy(source / place, into) != tuple(manifest["files"][place]):
             raise InputError(f"{source / place} changed while it was read: it is damaged", file=place)
         progress((number + 1) / len(files))
-    copied = create_engine(f"sqlite:///{source / DATABASE}")
+    copied = engine_of(f"sqlite:///{source / DATABASE}")
     with Session(copied) as session:
         for _, _, place, key in _rows(session, store, models_dir):
             store.vault.put(key, place)
@@ -148,7 +149,7 @@ def _copy_database(engine: Engine, place: Path) -> None:
             connection.driver_connection.backup(copied)  # type: ignore[union-attr]
             copied.execute("pragma journal_mode=delete")  # one file
         return
-    copied_engine = create_engine(f"sqlite:///{place}")
+    copied_engine = engine_of(f"sqlite:///{place}")
     Base.metadata.create_all(copied_engine)
     one_moment = engine.execution_options(isolation_level="REPEATABLE READ")
     with one_moment.connect() as here, copied_engine.begin() as there:
@@ -164,15 +165,14 @@ def _copy_rows(here: Any, there: Any) -> None:
 
 def _rows(session: Session, store: Store, models_dir: Path) -> Iterator[tuple[Any, str, Path, str]]:
     """All rows with files: table, id, where its files are, and their place in the copy."""
-    for heightmap_id in session.scalars(select(HeightmapRow.id)):
-        yield HeightmapRow, heightmap_id, store.heightmap_path(heightmap_id), f"heightmaps/{heightmap_id}.tif"
-    for runs_id in session.scalars(select(RunsRow.id)):
-        yield RunsRow, runs_id, store.runs_folder(runs_id), f"runs/{runs_id}"
-    for costmap_id in session.scalars(select(CostmapRow.id).where(CostmapRow.status == DONE)):
-        yield CostmapRow, costmap_id, store.lattice_path(costmap_id), f"costmaps/{costmap_id}.zarr"
-    for found in session.scalars(select(CalibrationRow.id).where(CalibrationRow.status == DONE)):
-        yield CalibrationRow, found, store.calibration_folder(found), f"calibrations/{found}"
-        yield CalibrationRow, found, models_dir / found, f"{MODELS}/{found}"
+    tables: list[Any] = [HeightmapRow, RunsRow, *JOBS.values()]
+    for table in tables:
+        query = select(table.id) if table in (HeightmapRow, RunsRow) else select(table.id).where(table.status == DONE)
+        for row_id in session.scalars(query):
+            place = store.path(table, row_id)
+            yield table, row_id, place, place.relative_to(store.folder).as_posix()
+            if table is CalibrationRow:
+                yield table, row_id, models_dir / row_id, f"{MODELS}/{row_id}"
 
 
 def _trained(models_dir: Path) -> Iterator[tuple[None, str, Path, str]]:
@@ -209,13 +209,6 @@ def _copy_all(source: Path, target: Path, place: str) -> dict[str, tuple[int, st
         if path.is_file() and not any(part.endswith(".partial") for part in below.parts):
             files[f"{place}/{below.as_posix()}"] = _copy(path, target / place / below)
     return files
-
-
-def _remove(place: Path) -> None:
-    if place.is_dir():
-        shutil.rmtree(place)
-    else:
-        place.unlink(missing_ok=True)
 
 
 def _copy(source: Path, target: Path) -> tuple[int, str]:

@@ -15,16 +15,15 @@ from typing import Any
 from sqlalchemy import delete, select, text, update
 from sqlalchemy.exc import SQLAlchemyError
 
-from joulemap.model.errors import JoulemapError
+from joulemap.model.errors import DamagedError, JoulemapError
 from joulemap.model.terrain.readers import read_sent
 from joulemap.planner.lattice.checked_store import CheckedStore
 from joulemap.planner.lattice.io import open_group
+from joulemap.service.storage.files import MODEL_SUMS, bytes_of, changed, remove, sums_of
+from joulemap.service.storage.kept import now
 from joulemap.service.storage.object_access import LOST
-from joulemap.service.storage.object_vault import ObjectVault
-from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.stats import heightmap_stats
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.sums import MODEL_SUMS, changed
 from joulemap.service.storage.tables import (
     CALIBRATION,
     DONE,
@@ -34,6 +33,7 @@ from joulemap.service.storage.tables import (
     HeightmapRow,
     RunsRow,
 )
+from joulemap.service.storage.vault import ObjectVault
 
 REMOVED = "removed"
 """Folder of the data directory into which a repair moves what belongs to nothing; nothing reads it."""
@@ -41,7 +41,6 @@ REMOVED = "removed"
 LEFT_BY_KILLED = "left by a process that was killed"
 _TABLES: tuple[Any, ...] = (HeightmapRow, RunsRow, CostmapRow, CalibrationRow)
 _SENDING = dt.timedelta(days=1)  # longer than sending anything takes
-_FOLDERS = {HeightmapRow: "heightmaps", RunsRow: "runs", CostmapRow: "costmaps", CalibrationRow: "calibrations"}
 
 
 @dataclass(frozen=True)
@@ -138,12 +137,12 @@ class Check:
     def _poisoned(self, table: Any, row_id: str, why: str) -> Finding:
         if table is HeightmapRow:
             try:
-                stats = _read_stats(self._store.heightmap_path(row_id), f"{row_id}.tif")
+                stats = _read_stats(self._store.path(table, row_id), f"{row_id}.tif")
             except (JoulemapError, OSError):
                 return Finding("unreadable", row_id, f"its row cannot be read ({why}), and its file neither")
 
             def _again() -> None:
-                self._change(table, row_id, stats=stats, created_at=_now(), bytes=None, used_at=None)
+                self._change(table, row_id, stats=stats, created_at=now(), bytes=None, used_at=None)
 
             return Finding("unreadable", row_id, f"its row cannot be read: {why}", "read its file again", _again)
         if table in (CostmapRow, CalibrationRow) and self._unreadable(table, row_id, _ASKED_AGAIN) is None:
@@ -163,12 +162,17 @@ class Check:
         )
 
     def _files(self, table: Any, row: Any) -> Iterator[Finding]:
-        place = self._path(table, row.id)
+        place = self._store.path(table, row.id)
         wrong, remedy = None, None
         repair: Callable[[], object] | None = None
         try:
             self._store.here(place)
             size = self._verify(table, row, place)
+            try:
+                unlike = [str(path.relative_to(self._dir)) for path in self._store.unlike(table, row.id, place)]
+            except DamagedError as error:
+                yield self._without_sums(table, row.id, place, error)
+                return
         except (JoulemapError, OSError, ValueError) as error:
             if getattr(error, "errno", None) == LOST:  # the object store is away, which says nothing of what it keeps
                 raise
@@ -178,16 +182,24 @@ class Check:
                 wrong = f"{place.relative_to(self._dir)} is not in the object store"
             elif row.bytes is not None and size < row.bytes:
                 wrong = f"{place.relative_to(self._dir)} has {size} bytes, {row.bytes} were kept"
-            elif unlike := [str(path.relative_to(self._dir)) for path in self._store.unlike(table, row.id, place)]:
+            elif unlike:
                 more = f" and {len(unlike) - 3} more" if len(unlike) > 3 else ""
                 wrong = f"{', '.join(unlike[:3])}{more}: the content is not what was kept"
         if wrong is not None:
             in_store = isinstance(self._store.vault, ObjectVault) and place.exists()
             if in_store and any(self._store.unlike(table, row.id, place)):
-                remedy, repair = "delete the copy; the object store has it", partial(_delete, place)
+                remedy, repair = "delete the copy; the object store has it", partial(remove, place)
             elif table in (CostmapRow, CalibrationRow):
                 remedy, repair = "make it again", lambda: self._ask_again(table, row.id)
             yield Finding("damaged" if place.exists() else "missing", row.id, wrong, remedy, repair)
+
+    def _without_sums(self, table: Any, row_id: str, place: Path, error: DamagedError) -> Finding:
+        """Files that can be read, of which the database has lost the checksums."""
+
+        def _note() -> None:
+            self._change(table, row_id, sums=sums_of(place))
+
+        return Finding("unreadable", row_id, f"its checksums: {_short(error)}", "take them of its files again", _note)
 
     def _verify(self, table: Any, row: Any, place: Path) -> int:
         """Read the files of a row. Returns their size; raises what reading them raises."""
@@ -219,8 +231,8 @@ class Check:
         """Files that belong to no row, and what killed processes left."""
         for path in self._store.leftovers():
             what = str(path.relative_to(self._dir))
-            yield Finding("partial", what, LEFT_BY_KILLED, "delete it", partial(_delete, path))
-        for folder in _FOLDERS.values():
+            yield Finding("partial", what, LEFT_BY_KILLED, "delete it", partial(remove, path))
+        for folder in (table.__tablename__ for table in _TABLES):
             for path in sorted((self._dir / folder).iterdir()):
                 if path.name.partition(".")[0] not in known and not path.name.endswith((".partial", ".tiles")):
                     yield self._orphan(path, f"{folder}/{path.name}")
@@ -270,7 +282,7 @@ class Check:
             folder.mkdir(exist_ok=True)
             (folder / f"{row_id}.json").write_text(json.dumps(raw, default=str), encoding="utf-8")
             session.execute(delete(table).where(table.id == row_id))
-        place = self._path(table, row_id)
+        place = self._store.path(table, row_id)
         with suppress(JoulemapError, OSError):  # an object that is damaged, or a store that is away
             self._store.here(place)
         if place.exists():
@@ -282,18 +294,8 @@ class Check:
         place = self._dir / REMOVED / what
         place.parent.mkdir(parents=True, exist_ok=True)
         if place.exists():
-            place = place.with_name(f"{place.name}.{_now():%Y%m%dT%H%M%S%f}")
+            place = place.with_name(f"{place.name}.{now():%Y%m%dT%H%M%S%f}")
         shutil.move(path, place)
-
-    def _path(self, table: Any, row_id: str) -> Path:
-        """Where the files of a row are."""
-        places = {
-            HeightmapRow: self._store.heightmap_path,
-            RunsRow: self._store.runs_folder,
-            CostmapRow: self._store.lattice_path,
-            CalibrationRow: self._store.calibration_folder,
-        }
-        return places[table](row_id)
 
 
 _ASKED_AGAIN: dict[str, Any] = {
@@ -311,16 +313,5 @@ def _read_stats(path: Path, name: str) -> dict[str, Any]:
     return heightmap_stats(read_sent(path, filename=name))
 
 
-def _delete(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
-
-
 def _short(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
-
-
-def _now() -> dt.datetime:
-    return dt.datetime.now(dt.UTC).replace(tzinfo=None)

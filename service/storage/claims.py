@@ -1,12 +1,15 @@
 """Which jobs are this service's: of two services on one database, one sends a job off.
 
 A claim is a lock that ends with its process, however that ends: nobody has to find out who is alive. With PostgreSQL it
-is an advisory lock of the database; with SQLite, which is for one machine, a byte of a file is locked.
+is an advisory lock of the database; with SQLite, which is for one machine, a byte of a file is locked. On Linux that
+lock is of the open file, so that two services of one process do not share it.
 """
 
 from __future__ import annotations
 
 import fcntl
+import os
+import struct
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -64,13 +67,22 @@ class Claims:
         if self._file is None:
             self._file = self._path.open("wb")
         try:
-            fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, number)
+            self._set_lock(fcntl.F_WRLCK, number)
         except (BlockingIOError, PermissionError):
             return False
         return True
 
     def _unlock_byte(self, number: int) -> None:
-        fcntl.lockf(self._file, fcntl.LOCK_UN, 1, number)  # type: ignore[arg-type]
+        self._set_lock(fcntl.F_UNLCK, number)
+
+    def _set_lock(self, kind: int, number: int) -> None:
+        assert self._file is not None
+        if hasattr(fcntl, "F_OFD_SETLK"):
+            wanted = struct.pack("hhqqi", kind, os.SEEK_SET, number, 1, 0)  # struct flock of 64 bits
+            fcntl.fcntl(self._file, fcntl.F_OFD_SETLK, wanted)
+        else:
+            how = fcntl.LOCK_UN if kind == fcntl.F_UNLCK else fcntl.LOCK_EX | fcntl.LOCK_NB
+            fcntl.lockf(self._file, how, 1, number)
 
     def _lock_number(self, number: int) -> bool:
         assert self._connection is not None

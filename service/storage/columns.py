@@ -34,7 +34,6 @@ def note_schema(connection: Connection) -> None:
 
 def check_pages(engine: Engine) -> None:
     """Refuse a SQLite file whose pages are damaged: what it would answer and keep from then on is not known."""
-    file = engine.url.database
     try:
         with engine.connect() as connection:
             found = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar()
@@ -43,11 +42,17 @@ def check_pages(engine: Engine) -> None:
     except DatabaseError as error:
         found = str(error.orig)
     if found != "ok":
-        raise DamagedError(
-            f"the database {file} is damaged: {' '.join(str(found).split())[:200]}. `joulemap check` says what can be "
-            "read of it; `joulemap restore` brings back a backup",
-            file=file,
-        )
+        raise damaged(engine, str(found))
+
+
+def damaged(engine: Engine, why: str) -> DamagedError:
+    """Return the error of a database that cannot be trusted, with what to do."""
+    file = engine.url.database
+    return DamagedError(
+        f"the database {file} is damaged: {' '.join(why.split())[:200]}. `joulemap check` says what can be read of it; "
+        "`joulemap restore` brings back a backup",
+        file=file,
+    )
 
 
 def add_missing_columns(connection: Connection) -> None:
@@ -56,6 +61,9 @@ def add_missing_columns(connection: Connection) -> None:
     quoted = connection.dialect.identifier_preparer
     for table in Base.metadata.sorted_tables:
         there = {column["name"] for column in found.get_columns(table.name)}
+        strange, lost = there - {*table.columns.keys()}, {*table.columns.keys()} - there
+        if strange and lost and found.has_table(SCHEMA_VERSION.name):  # versions before 0.2 had other columns
+            raise damaged(connection.engine, f"{table.name} has {min(strange)} and no {min(lost)}")
         for column in table.columns:
             if column.name not in there:
                 new = CreateColumn(column).compile(dialect=connection.dialect)

@@ -13,6 +13,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
 
 from joulemap.model.errors import ConflictError
+from joulemap.service.storage.files import remove
 from joulemap.service.storage.private import FOLDER_MODE
 from joulemap.service.storage.tables import JOBS, QUEUED, RUNNING
 
@@ -77,10 +78,7 @@ class DataFolder:
             return []
         swept = self.leftovers(sessions)
         for path in swept:
-            if path.is_dir():
-                shutil.rmtree(path, ignore_errors=True)
-            else:
-                path.unlink(missing_ok=True)
+            remove(path)
         return swept
 
     def leftovers(self, sessions: sessionmaker[Session]) -> list[Path]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from typing import Any
 
-from sqlalchemy import delete, select, update
+from sqlalchemy import bindparam, delete, select, update
 from sqlalchemy.orm import defer
 
 from joulemap.service.storage.kept import Kept, now
@@ -13,6 +13,12 @@ from joulemap.service.storage.tables import DRIVE, DriveRow
 
 MOST_DRIVES = 1000
 """Of one owner; the oldest ones make room."""
+_NOTED = (
+    update(DriveRow)
+    .where(DriveRow.id == bindparam("of"), DriveRow.updates == bindparam("known"))
+    .values({"updates": DriveRow.updates + 1, **{name: bindparam(name) for name in ("state", "forecast", "unused")}})
+)
+_LONG = defer(DriveRow.request), defer(DriveRow.state)
 
 
 class KeptDrives(Kept):
@@ -41,21 +47,24 @@ class KeptDrives(Kept):
             session.add(row)
         return row
 
-    def drive(self, drive_id: str) -> DriveRow:
-        """Return the row of a drive. Raises NotFoundError if there is none."""
-        return self._row(DriveRow, "is no drive", drive_id=drive_id)
+    def drive(self, drive_id: str, *, whole: bool = True) -> DriveRow:
+        """Return the row of a drive; if it need not be whole, without route, state and forecast, which take longer to
+        read than all else of an update. Raises NotFoundError if there is none.
+        """
+        options = () if whole else (*_LONG, defer(DriveRow.forecast))
+        return self._row(DriveRow, "is no drive", *options, drive_id=drive_id)
 
-    def drives(self, *, limit: int, offset: int) -> tuple[list[DriveRow], int]:
+    def drives(self, *, limit: int, offset: int, costmap_id: str | None = None) -> tuple[list[DriveRow], int]:
         """Return one page of the drives, newest first, without routes and states, and how many there are in all."""
-        return self._page(DriveRow, limit, offset, defer(DriveRow.request), defer(DriveRow.state))
+        over = [] if costmap_id is None else [DriveRow.costmap_id == costmap_id]
+        return self.page(DriveRow, limit, offset, *_LONG, where=over)
 
     def note_drive(self, row: DriveRow, state: dict[str, Any], forecast: dict[str, Any], unused: int) -> bool:
         """Replace what is known of a drive. Result: False, and nothing is replaced, where it has changed since."""
-        then = update(DriveRow).where(DriveRow.id == row.id, DriveRow.updates == row.updates)
-        with self._sessions.begin() as session:
-            values = {"updates": row.updates + 1, "state": state, "forecast": forecast, "unused": unused}
-            done = session.execute(then.values(values))
-        return bool(done.rowcount)  # type: ignore[attr-defined]
+        values = {"of": row.id, "known": row.updates, "state": state, "forecast": forecast, "unused": unused}
+        # in turn: SQLite has one writer, and others look again only after up to 0.1 s
+        with self._adding, self.engine.begin() as connection:
+            return bool(connection.execute(_NOTED, values).rowcount)
 
     def delete_drive(self, drive_id: str) -> None:
         """Delete a drive. Raises NotFoundError if there is none."""

@@ -1,4 +1,4 @@
-"""What jobs have in common, which are cost maps and calibrations: their status, their end, their files."""
+"""Jobs that are kept, which are cost maps and calibrations: their rows, their end, their files."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 from sqlalchemy import select, update
 from sqlalchemy.exc import IntegrityError
 
-from joulemap.model.errors import NotFoundError
-from joulemap.planner.lattice.io import LatticeFolder
+from joulemap.model.errors import ConflictError, NotFoundError
+from joulemap.planner.lattice import CostLattice, checksums
+from joulemap.planner.lattice.io import LatticeFolder, load_lattice
+from joulemap.service.storage.files import sums_of
 from joulemap.service.storage.kept import Kept, now
-from joulemap.service.storage.object_vault import FETCHED, ObjectVault
-from joulemap.service.storage.sums import sums_of
 from joulemap.service.storage.tables import (
     CALIBRATION,
     CANCELLED,
@@ -25,8 +25,11 @@ from joulemap.service.storage.tables import (
     JOBS,
     QUEUED,
     RUNNING,
+    CalibrationRow,
+    CostmapRow,
     kind_of,
 )
+from joulemap.service.storage.vault import FETCHED, ObjectVault
 
 
 class KeptJobs(Kept):
@@ -127,14 +130,10 @@ class KeptJobs(Kept):
 
     def lattice_path(self, costmap_id: str) -> Path:
         """Return the folder of a cost map's lattice."""
-        return self._dir / "costmaps" / f"{costmap_id}.zarr"
-
-    def calibration_folder(self, calibration_id: str) -> Path:
-        """Return the folder of a calibration's report."""
-        return self._dir / "calibrations" / calibration_id
+        return self.path(CostmapRow, costmap_id)
 
     def _place(self, job_id: str) -> Path:
-        return self.lattice_path(job_id) if kind_of(job_id) == COSTMAP else self.calibration_folder(job_id)
+        return self.path(JOBS[kind_of(job_id)], job_id)
 
     def _add(self, row: Any, size: int = 0) -> Any:
         try:
@@ -142,6 +141,92 @@ class KeptJobs(Kept):
         except IntegrityError as error:
             raise NotFoundError(f"there is no heightmap {row.heightmap_id!r}", heightmap_id=row.heightmap_id) from error
         return row
+
+    def add_costmap(self, heightmap_id: str, request: dict[str, Any], *, most_bytes: int = 0) -> CostmapRow:
+        """Add a cost map to the queue. Raises NotFoundError if the heightmap was deleted."""
+        return self._add(CostmapRow(**new_job(COSTMAP, heightmap_id, request)), most_bytes)
+
+    def costmap(self, costmap_id: str) -> CostmapRow:
+        """Return the row of a cost map. Raises NotFoundError if there is none."""
+        return self._row(CostmapRow, "is no cost map", costmap_id=costmap_id)
+
+    def alike(self, row: CostmapRow) -> list[str]:
+        """Return the newest finished cost map of every other model that differs from one in nothing but the model."""
+
+        def _but_model(request: dict[str, Any]) -> dict[str, Any]:
+            return {key: value for key, value in request.items() if key != "model"}
+
+        newest: dict[str, str] = {}
+        with self._sessions() as session:
+            query = select(CostmapRow).where(CostmapRow.heightmap_id == row.heightmap_id, CostmapRow.status == DONE)
+            for made in session.scalars(query.order_by(CostmapRow.created_at)):
+                if _but_model(made.request) == _but_model(row.request):
+                    newest[made.request["model"]] = made.id
+        newest.pop(row.request["model"], None)
+        return list(newest.values())
+
+    def load_lattice(self, costmap_id: str) -> CostLattice:
+        """Load the lattice of a cost map."""
+        return load_lattice(self.lattice_folder(costmap_id))
+
+    def lattice_folder(self, costmap_id: str) -> Path:
+        """Return the folder of a cost map for reading.
+
+        One of an older version has no checksums of its own: it is compared with those of its row, once.
+
+        Raises DamagedError if it is not what was kept.
+        """
+        place = self.here(self.lattice_path(costmap_id))
+        if place.exists() and not (place / checksums.FILE).exists():
+            self.intact(CostmapRow, costmap_id, place)
+        return place
+
+    def delete_costmap(self, costmap_id: str) -> None:
+        """Delete a cost map: the row first, so that a job that still makes it stops.
+
+        Raises NotFoundError if there is none.
+        """
+        row = self.costmap(costmap_id)
+        self._delete(lambda session: session.delete(row))
+        LatticeFolder(self.lattice_path(costmap_id)).discard()
+        self._remove_all(costmap_id)
+
+    def add_calibration(self, heightmap_id: str | None, request: dict[str, Any]) -> CalibrationRow:
+        """Add a calibration to the queue.
+
+        `heightmap_id`: id of the heightmap that the runs were driven on, None for runs without positions. Raises
+        NotFoundError if the heightmap was deleted.
+        """
+        return self._add(CalibrationRow(**new_job(CALIBRATION, heightmap_id, request)))
+
+    def calibration(self, calibration_id: str) -> CalibrationRow:
+        """Return the row of a calibration. Raises NotFoundError if there is none."""
+        return self._row(CalibrationRow, "is no calibration", calibration_id=calibration_id)
+
+    def hidden_models(self) -> set[str]:
+        """Return the models that the caller must not see. Result: ids of the calibrations that others own."""
+        if self._caller.sees_all:
+            return set()
+        with self._sessions() as session:
+            ids = select(CalibrationRow.id)
+            return set(session.scalars(ids)) - set(session.scalars(self._caller.own(ids, CalibrationRow)))
+
+    def delete_calibration(self, calibration_id: str) -> None:
+        """Delete the row of a calibration; its files are the caller's to delete.
+
+        Raises NotFoundError if there is none; ConflictError if cost maps use its model; their ids are in the context.
+        """
+        row = self.calibration(calibration_id)
+        with self._sessions() as session:
+            query = select(CostmapRow.id).where(CostmapRow.request["model"].as_string() == calibration_id)
+            users = sorted(session.scalars(query))
+        if users:
+            raise ConflictError(
+                f"the model of calibration {calibration_id} is used by {len(users)} cost map(s), "
+                f"{', '.join(users[:5])}: delete them first",
+                costmap_ids=users,
+            )
+        self._delete(lambda session: session.delete(row))
 
 
 def new_job(kind: str, heightmap_id: str | None, request: dict[str, Any]) -> dict[str, Any]:

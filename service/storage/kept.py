@@ -7,9 +7,8 @@ import copy
 import datetime as dt
 import logging
 import secrets
-import shutil
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -19,16 +18,15 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
 from joulemap.model.errors import NotFoundError
+from joulemap.service.storage.checkpoints import Checkpoints
 from joulemap.service.storage.claims import Claims
 from joulemap.service.storage.columns import add_missing_columns, check_pages, check_schema, note_schema
 from joulemap.service.storage.data_folder import DataFolder
+from joulemap.service.storage.files import bytes_of, changed, remove, sums_of
 from joulemap.service.storage.finite import dumps, loads
-from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.owners import NOBODY, Caller, promised_bytes
 from joulemap.service.storage.private import close_database, say_what_is_open
 from joulemap.service.storage.room import Room, Upload
-from joulemap.service.storage.sizes import bytes_of
-from joulemap.service.storage.sums import changed, sums_of
 from joulemap.service.storage.tables import (
     CALIBRATION,
     Base,
@@ -37,14 +35,18 @@ from joulemap.service.storage.tables import (
     HeightmapRow,
     JobRow,
     RunsRow,
+    named_rasters,
     named_test_runs,
 )
-from joulemap.service.storage.vault import vault_of
+from joulemap.service.storage.vault import ObjectVault, damaged, vault_of
 
 Row = TypeVar("Row", bound=Base)
 
 _LOG = logging.getLogger("joulemap.service")
 
+_WAL_PAGES = 10_000
+"""Setting: pages of 4 kB after which a commit writes SQLite's log to the database and waits for the disk, where no
+service does it (`Checkpoints`)."""
 _TABLES_LOCK = 6_201_531  # any number that nothing else in the database locks
 
 
@@ -62,6 +64,7 @@ class Kept:
         self.vault = vault_of(objects)
         self._url = database_url
         self._engine: Engine | None = None
+        self._checkpoints: Checkpoints | None = None
         self._folder = DataFolder(data_dir)
         self._caller = NOBODY
         self._adding = threading.Lock()  # so that requests at the same moment do not pass a limit together
@@ -80,7 +83,7 @@ class Kept:
         self._folder.make()
         if as_service:
             self._folder.use(alone=alone)
-        self._engine = _engine_of(self._url)
+        self._engine = engine_of(self._url)
         file = self._engine.url.database
         if self._engine.dialect.name == "sqlite" and file and not file.startswith((":memory:", "file:")):
             close_database(Path(file))
@@ -103,6 +106,8 @@ class Kept:
             self.room.keep_reserve()
             if not alone:
                 self._folder.share()
+            if self._engine.dialect.name == "sqlite" and not alone:
+                self._checkpoints = Checkpoints(self._engine)
 
     @property
     def engine(self) -> Engine:
@@ -136,6 +141,8 @@ class Kept:
 
     def close(self) -> None:
         """Let go of the database and the data directory."""
+        if self._checkpoints is not None:
+            self._checkpoints.stop()
         if self._engine is not None:
             self._engine.dispose()
         self._folder.leave()
@@ -158,6 +165,10 @@ class Kept:
     def may_see(self, row: Any) -> bool:
         """Return whether a row is there for the caller."""
         return self._caller.may_see(row)
+
+    def path(self, table: Any, row_id: str) -> Path:
+        """Return the file or the folder of a row."""
+        return self._dir / str(table.place).format(row_id)
 
     @contextlib.contextmanager
     def upload_file(self) -> Iterator[Path]:
@@ -189,6 +200,13 @@ class Kept:
             self.vault.fetch(self._key(place), place)
         return place
 
+    def intact(self, table: Any, row_id: str, place: Path) -> Path:
+        """Have the file or the folder of a row here. Raises DamagedError where it is not what was kept."""
+        for part in self.unlike(table, row_id, self.here(place)):
+            named = place.name if part == place else f"{place.name}/{part.name}"
+            raise damaged(f"{named}: its content is not what was kept", named)
+        return place
+
     def model_here(self, model: str, models_dir: Path) -> None:
         """Have the model of a calibration in the folder of models; others are there or not."""
         if model.startswith(f"{CALIBRATION}-"):
@@ -205,10 +223,7 @@ class Kept:
             self.vault.remove(self._key(place))
         except OSError as error:
             _LOG.warning("%s is left in the object store: %s", self._key(place), error)
-        if place.is_dir():
-            shutil.rmtree(place, ignore_errors=True)
-        else:
-            place.unlink(missing_ok=True)
+        remove(place)
 
     def _keep_with(self, row: Any, begun: Path, place: Path) -> None:
         """Keep files, then add their row, so that no row is ever without its files.
@@ -239,8 +254,10 @@ class Kept:
                 self.room.check(promised_bytes(session) + size)
             session.add(row)
             session.flush()
-            for table, ids in _sources(row):
-                session.execute(update(table).where(table.id.in_(ids)).values(used_at=now()))
+            for table, ids in _sources(row):  # which waits for who deletes one of them
+                used = session.execute(update(table).where(table.id.in_(ids)).values(used_at=now()))
+                if table is HeightmapRow and used.rowcount < len(set(ids) - {None}):  # type: ignore[attr-defined]
+                    raise NotFoundError(f"one of the heightmaps {', '.join(ids)} was deleted meanwhile")
 
     def _delete(self, delete: Callable[[Session], object]) -> None:
         """Do what makes room; on a full disk a reserve is given up for it."""
@@ -253,22 +270,25 @@ class Kept:
             with self._sessions.begin() as session:
                 delete(session)
 
-    def _row(self, table: type[Row], there: str, **key: str) -> Row:
+    def _row(self, table: type[Row], there: str, *options: Any, **key: str) -> Row:
         ((name, row_id),) = key.items()
         row = None
         if "\0" not in row_id:  # a text that PostgreSQL has no place for, not even in a question
             with self._sessions() as session:
-                row = session.get(table, row_id)
+                row = session.get(table, row_id, options=options)
         if row is None or not self.may_see(row):
             raise NotFoundError(f"there {there} {row_id[:80]!r}", **{name: row_id[:80]})
         return row
 
-    def _page(self, table: type[Any], limit: int, offset: int, *options: Any) -> tuple[list[Any], int]:
+    def page(
+        self, table: type[Any], limit: int, offset: int, *options: Any, where: Sequence[Any] = ()
+    ) -> tuple[list[Any], int]:
+        """Return one page of the rows of a table that the caller may see, newest first, and how many there are."""
         with self._sessions() as session:
             own = self._caller.own
-            total = session.scalar(own(select(func.count()).select_from(table), table)) or 0
-            query = own(select(table), table).order_by(table.created_at.desc(), table.id).limit(limit).offset(offset)
-            return list(session.scalars(query.options(*options))), total
+            total = session.scalar(own(select(func.count()).select_from(table).where(*where), table)) or 0
+            query = own(select(table).where(*where), table).order_by(table.created_at.desc(), table.id)
+            return list(session.scalars(query.limit(limit).offset(offset).options(*options))), total
 
 
 def _sources(row: Any) -> list[tuple[Any, list[str]]]:
@@ -277,7 +297,9 @@ def _sources(row: Any) -> list[tuple[Any, list[str]]]:
         asked = row.request
         runs = [*asked["runs"], *asked.get("base_runs", []), *named_test_runs(asked)]
         return [(RunsRow, runs), (HeightmapRow, [row.heightmap_id])]
-    return [(HeightmapRow, [row.heightmap_id])] if isinstance(row, CostmapRow) else []
+    if isinstance(row, CostmapRow):
+        return [(HeightmapRow, [row.heightmap_id, *named_rasters(row.request).values()])]
+    return []
 
 
 def now() -> dt.datetime:
@@ -285,7 +307,7 @@ def now() -> dt.datetime:
     return dt.datetime.now(dt.UTC).replace(tzinfo=None)
 
 
-def _engine_of(url: str) -> Engine:
+def engine_of(url: str) -> Engine:
     """The engine of a database; that of a PostgreSQL gives up a server that does not answer."""
     if not url.startswith("postgresql"):
         return create_engine(url, pool_pre_ping=True, json_serializer=dumps, json_deserializer=loads)
@@ -304,6 +326,7 @@ def _engine_of(url: str) -> Engine:
 
 
 def _set_up_sqlite(connection: Any, _record: Any) -> None:
-    for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", "busy_timeout=10000"):
+    pragmas = "journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", "busy_timeout=10000"
+    for pragma in (*pragmas, f"wal_autocheckpoint={_WAL_PAGES}"):
         connection.execute(f"PRAGMA {pragma}")
     connection.text_factory = lambda text: text.decode("utf-8", "replace")  # a damaged text harms its own row alone

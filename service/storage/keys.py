@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import hashlib
 import hmac
 import re
@@ -13,6 +12,7 @@ from sqlalchemy import or_, select, update
 from sqlalchemy.orm import Session, sessionmaker
 
 from joulemap.model.errors import InputError, NotFoundError
+from joulemap.service.storage.kept import now
 from joulemap.service.storage.tables import JOBS, HeightmapRow, KeyRow, RunsRow
 
 _KEY = re.compile(r"(jm_[0-9a-f]{8})_[A-Za-z0-9_-]{43}")
@@ -39,27 +39,16 @@ def add_key(
     *,
     operator: bool = False,
     adopt: bool = False,
-    jobs: int | None = None,
-    gb: float | None = None,
-    requests_per_s: float | None = None,
+    **limits: float | None,
 ) -> str:
-    """Add a key."""
+    """Add a key. `limits`: `jobs`, `gb` and `requests_per_s`, as columns of its row; None for those of the settings."""
     if not _NAME.fullmatch(name):
         raise InputError(
             f"{name[:80]!r} cannot be the name of a key: use up to 64 letters, digits and . _ @ -", name=name[:80]
         )
     prefix = f"jm_{secrets.token_hex(4)}"
     key = f"{prefix}_{secrets.token_urlsafe(32)}"
-    row = KeyRow(
-        prefix=prefix,
-        digest=_digest(key),
-        name=name,
-        operator=operator,
-        created_at=_now(),
-        jobs=jobs,
-        gb=gb,
-        requests_per_s=requests_per_s,
-    )
+    row = KeyRow(prefix=prefix, digest=_digest(key), name=name, operator=operator, created_at=now(), **limits)
     with sessions.begin() as session:
         session.add(row)
         if adopt:
@@ -78,7 +67,7 @@ def revoke_keys(sessions: sessionmaker[Session], which: str) -> int:
     """Revoke the keys of a name, or the one key with a prefix. Raises NotFoundError if no valid key is called so."""
     valid = KeyRow.revoked_at.is_(None) & or_(KeyRow.name == which, KeyRow.prefix == which)
     with sessions.begin() as session:
-        count: int = session.execute(update(KeyRow).where(valid).values(revoked_at=_now())).rowcount  # type: ignore[attr-defined]
+        count: int = session.execute(update(KeyRow).where(valid).values(revoked_at=now())).rowcount  # type: ignore[attr-defined]
     if count == 0:
         raise NotFoundError(f"there is no valid key {which[:80]!r}: `joulemap keys list` has all", name=which[:80])
     return count
@@ -86,7 +75,3 @@ def revoke_keys(sessions: sessionmaker[Session], which: str) -> int:
 
 def _digest(key: str) -> str:
     return hashlib.sha256(key.encode()).hexdigest()
-
-
-def _now() -> dt.datetime:
-    return dt.datetime.now(dt.UTC).replace(tzinfo=None)

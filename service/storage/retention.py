@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import func, select, update
 
 from joulemap.model.errors import ConflictError, NotFoundError
-from joulemap.service.storage.sizes import bytes_of
+from joulemap.service.storage.files import bytes_of
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import (
     CANCELLED,
@@ -26,6 +26,7 @@ from joulemap.service.storage.tables import (
     kind_of,
 )
 
+_TABLES: tuple[Any, ...] = (HeightmapRow, RunsRow, CostmapRow, CalibrationRow)
 _LOG = logging.getLogger("joulemap.service")
 _TO_COME = dt.timedelta(days=1)  # more than clocks of several services differ by
 _JUST_USED = dt.timedelta(minutes=15)  # longer than a question, and than uses are noted after they happen
@@ -42,7 +43,7 @@ def note_uses(store: Store, uses: Mapping[str, dt.datetime]) -> None:
 def forget_ages(store: Store, now: dt.datetime) -> None:
     """Count the age of everything from now, because the times at which it was used are not known. `now`: [UTC]."""
     with store.sessions.begin() as session:
-        for table in (HeightmapRow, RunsRow, CostmapRow, CalibrationRow):
+        for table in _TABLES:
             session.execute(update(table).values(used_at=now))
 
 
@@ -117,13 +118,7 @@ def _by_use(store: Store, table: Any, latest: dt.datetime) -> list[tuple[str, in
 
 def measure(store: Store) -> None:
     """Measure what an older version kept."""
-    places: dict[Any, Callable[[str], Any]] = {
-        HeightmapRow: store.heightmap_path,
-        RunsRow: store.runs_folder,
-        CostmapRow: store.lattice_path,
-        CalibrationRow: store.calibration_folder,
-    }
-    for table, place in places.items():
+    for table in _TABLES:
         query = select(table.id).where(table.bytes.is_(None))
         if hasattr(table, "finished_at"):
             query = query.where(table.status == DONE)
@@ -131,12 +126,11 @@ def measure(store: Store) -> None:
             unmeasured = list(session.scalars(query))
         for row_id in unmeasured:
             with store.sessions.begin() as session:
-                session.execute(update(table).where(table.id == row_id).values(bytes=bytes_of(place(row_id))))
+                session.execute(
+                    update(table).where(table.id == row_id).values(bytes=bytes_of(store.path(table, row_id)))
+                )
 
 
 def _kept(store: Store) -> int:
     with store.sessions() as session:
-        return sum(
-            int(session.scalar(select(func.sum(table.bytes))) or 0)
-            for table in (HeightmapRow, RunsRow, CostmapRow, CalibrationRow)
-        )
+        return sum(int(session.scalar(select(func.sum(table.bytes))) or 0) for table in _TABLES)

@@ -16,13 +16,8 @@ def heightmap_stats(heightmap: Heightmap, *, band: int | None = None) -> dict[st
 
     Result: JSON-able: frame, share of known cells, lowest and highest height and noise [m], and a hash of the heights.
     """
-    frame = heightmap.frame
     return {
-        "rows": frame.rows,
-        "cols": frame.cols,
-        "resolution_m": frame.resolution_m,
-        "crs": frame.crs,
-        "bounds": list(frame.bounds),
+        **frame_values(heightmap.frame),
         "known_share": heightmap.known_share,
         "height_min_m": float(np.nanmin(heightmap.heights)),
         "height_max_m": float(np.nanmax(heightmap.heights)),
@@ -31,6 +26,12 @@ def heightmap_stats(heightmap: Heightmap, *, band: int | None = None) -> dict[st
         "noise_length_m": heightmap.noise_length_m,
         "band": band,
     }
+
+
+def frame_values(frame: GridFrame, *, side: str = "resolution_m") -> dict[str, Any]:
+    """Return the frame of a grid, JSON-able. `side`: what the side of a cell is called there."""
+    bounds = list(frame.bounds)
+    return {"rows": frame.rows, "cols": frame.cols, side: frame.resolution_m, "bounds": bounds, "crs": frame.crs}
 
 
 def noise_of_stats(stats: Mapping[str, Any]) -> dict[str, Any]:

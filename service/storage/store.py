@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from joulemap.service.storage.calibrations import KeptCalibrations
-from joulemap.service.storage.costmaps import KeptCostmaps
 from joulemap.service.storage.drives import KeptDrives
-from joulemap.service.storage.heightmaps import KeptHeightmaps
-from joulemap.service.storage.runs import KeptRuns
+from joulemap.service.storage.jobs import KeptJobs
+from joulemap.service.storage.sent import KeptSent
 
 
-class Store(KeptHeightmaps, KeptRuns, KeptCostmaps, KeptCalibrations, KeptDrives):
+class Store(KeptSent, KeptJobs, KeptDrives):
     """Heightmaps, cost maps, runs, calibrations and drives that survive a restart; made as `Kept`."""

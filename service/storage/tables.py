@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from sqlalchemy import JSON, BigInteger, Column, DateTime, Dialect, ForeignKey, Integer, MetaData, Table, Text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -16,7 +16,7 @@ QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed"
 NO_TIME = dt.datetime.min
 """Stands for a text that is no time; a key that was revoked then stays revoked."""
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of these tables: the next one where a version of joulemap before it would read or write them wrongly."""
 
 
@@ -54,6 +54,8 @@ class Kept:
 
     Attributes
     ----------
+    place : str
+        Its file or folder in the data folder, by its id.
     owner : str or None
         Name of the key with which it was sent or asked for; None where there were no keys.
     bytes : int or None
@@ -65,6 +67,7 @@ class Kept:
         in an object store, whose records have them. Loaded only when a query names it.
     """
 
+    place: ClassVar[str]
     owner: Mapped[str | None] = mapped_column(index=True)
     bytes: Mapped[int | None] = mapped_column(BigInteger)
     used_at: Mapped[dt.datetime | None]
@@ -104,7 +107,7 @@ class KeyRow(Base):
 class HeightmapRow(Kept, Base):
     """A heightmap that was sent; its heights are in heightmaps/{id}.tif, `stats` is what a listing says about it."""
 
-    __tablename__ = "heightmaps"
+    __tablename__, place = "heightmaps", "heightmaps/{}.tif"
 
     id: Mapped[str] = mapped_column(primary_key=True)
     created_at: Mapped[dt.datetime]
@@ -115,7 +118,7 @@ class HeightmapRow(Kept, Base):
 class RunsRow(Kept, Base):
     """Measured runs that were sent together; their files are in runs/{id}/, `stats` is what was read of each."""
 
-    __tablename__ = "runs"
+    __tablename__, place = "runs", "runs/{}"
 
     id: Mapped[str] = mapped_column(primary_key=True)
     created_at: Mapped[dt.datetime]
@@ -140,7 +143,7 @@ class JobRow(Kept, Base):
 class CostmapRow(JobRow):
     """A cost map that was asked for; its lattice is in costmaps/{id}.zarr once `status` is done."""
 
-    __tablename__ = "costmaps"
+    __tablename__, place = "costmaps", "costmaps/{}.zarr"
 
     heightmap_id: Mapped[str] = mapped_column(ForeignKey("heightmaps.id"))
 
@@ -157,7 +160,7 @@ class CalibrationRow(JobRow):
     Runs without positions belong to no heightmap.
     """
 
-    __tablename__ = "calibrations"
+    __tablename__, place = "calibrations", "calibrations/{}"
 
     heightmap_id: Mapped[str | None] = mapped_column(ForeignKey("heightmaps.id"))
 
@@ -201,6 +204,14 @@ WORDS = {COSTMAP: "cost map", CALIBRATION: "calibration"}
 def kind_of(job_id: str) -> str:
     """Return the kind of a job."""
     return job_id.partition("-")[0]
+
+
+def named_rasters(request: Mapping[str, Any]) -> dict[str, str]:
+    """Return the ids of the rasters that a cost map was asked for with, by the layers that they are.
+
+    A layer of GeoJSON may have any member beside its type.
+    """
+    return {role: one["heightmap_id"] for role, one in request.get("layers", {}).items() if "type" not in one}
 
 
 def named_test_runs(request: Mapping[str, Any]) -> list[str]:

@@ -70,14 +70,14 @@ export async function kept() {
 }
 export const blob = async (path, options) => (await request(path, options)).blob();
 
-/** Follows a job until it is over; `report` is called with each state. Connects again when the connection breaks. */
-export async function follow(path, report, signal) {
+/** Follows a job, or a drive, until its last event; `report` is called with each state. Connects again when the connection breaks. */
+export async function follow(path, report, signal, last = "end") {
   for (;;) {
     try {
       const answer = await request(path, { headers: { Accept: "text/event-stream" }, signal });
       for await (const { event, data } of events(answer.body)) {
         report(data);
-        if (event === "end") return data;
+        if (event === last) return data;
       }
     } catch (error) {
       if (!(error instanceof Unreachable || error instanceof TypeError)) throw error;

@@ -74,7 +74,7 @@ export async function welcome(message) {
   here.hidden = false;
   await attempt(list, async () => {
     const { costmaps, heightmaps, label } = await kept();
-    const done = costmaps.filter(one => ["done", "running", "queued"].includes(one.status)), bare = heightmaps.filter(one => one.rows && !done.some(map => map.heightmap_id === one.id));
+    const done = costmaps.filter(one => ["done", "running", "queued"].includes(one.status)), bare = heightmaps.filter(one => one.rows && !one.layer && !done.some(map => map.heightmap_id === one.id));
     fill(list, done.length + bare.length ? make("ul", {},
       done.map(one => make("li", {}, button({ onclick: () => { hide(); chosen({ costmap: one }); } }, `${label(one)}${one.status === "done" ? "" : " (being made)"}`))),
       bare.map(one => make("li", {}, button({ onclick: () => { hide(); chosen({ heightmap: one }); } }, `${one.name} (no cost map yet)`)))) : note("Nothing yet. What you send is kept here."));

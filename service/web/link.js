@@ -21,6 +21,7 @@ export function read(hash = location.hash) {
     ...(Number.isFinite(heading) && { heading }),
     ...(charge > 0 && charge <= 1 && reserve >= 0 && reserve <= 1 && { battery: { charge, reserve, capacity_wh: full > 0 ? full : null } }),
     ...(given.get("back") === "1" && { roundTrip: true }),
+    ...(given.get("drive") && { drive: given.get("drive") }),
     ...(Number(given.get("others")) > 0 && { alternatives: Math.min(Number(given.get("others")), 5) }),
   };
   const objective = given.get("objective"), [quantile, power] = ["quantile", "max_power_w"].map(name => Number(given.get(name)));
@@ -43,6 +44,7 @@ export function address() {
   if (now.stops.length) parts.set("stops", now.stops.map(written).join(";"));
   parts.set("battery", Object.values(now.battery).filter(value => value !== null).join(","));
   if (now.roundTrip) parts.set("back", "1");
+  if (now.drive) parts.set("drive", now.drive);
   if (now.alternatives) parts.set("others", now.alternatives);
   for (const [name, value] of Object.entries(now.aim)) if (value && value !== "mean" && (name !== "quantile" || now.aim.objective === name)) parts.set(name, value);
   if (now.avoid.length) parts.set("avoid", now.avoid.map(ring => ring.map(written).join(";")).join("|"));
@@ -63,4 +65,4 @@ function write() {
   waiting = setTimeout(() => { if (now.costmap) history.replaceState(null, "", address()); }, 200);
 }
 
-on("costmap start goal stops battery roundTrip alternatives avoid aim view heading", write);
+on("costmap drive start goal stops battery roundTrip alternatives avoid aim view heading", write);

@@ -36,7 +36,7 @@ async function upload(files, mapping = []) {
     fill(here, h3("What was read"), readOf(sent), sent.runs.flatMap(run => run.warnings).map(one => warn(one)));
     listRuns(sent.id);
   } catch (error) {
-    const naming = error.status === 422 ? await columns.form(files, mapping => upload(files, mapping)) : null;
+    const naming = error.status === 422 ? await columns.form(files, mapping => upload(files, mapping), error.context.reading) : null;
     fill(here, naming ? alarm(error.message.replace(/; a mapping says.*/, ".")) : errorNote(error), naming, /do not belong together/.test(error.message) ? note("Open the cost map of the ground where they were driven, or send its heightmap: New map.") : null);
   }
 }
@@ -88,7 +88,7 @@ async function listCalibrations() {
   await attempt(here, async () => {
     const { items } = await ask("v1/calibrations?limit=100"), mine = items.filter(one => one.heightmap_id === now.costmap?.heightmap_id);
     if (!mine.length) { fill(here, note("None on this ground yet.")); return; }
-    fill(here, mine.map(one => row(button({ onclick: async () => (one.status === "done" ? open(await ask(`v1/calibrations/${one.id}`)) : watch(one)), disabled: ["failed", "cancelled"].includes(one.status) }, `${time(one.created_at)}, from model ${one.model}`), make("span", { class: "quiet" }, one.status === "failed" ? one.problem.detail : one.status === "done" ? "" : one.status))));
+    fill(here, mine.map(one => row(button({ onclick: async () => (one.status === "done" ? open(await ask(`v1/calibrations/${one.id}`)) : watch(one)), disabled: ["failed", "cancelled"].includes(one.status) }, `${one.found ? one.found.join(", ") || "Nothing missing" : time(one.created_at)}, from model ${one.model}`), make("span", { class: "quiet" }, one.status === "failed" ? one.problem.detail : one.status === "done" ? time(one.created_at) : one.status))));
   });
 }
 

@@ -2,12 +2,15 @@
 
 import { answered } from "./answers.js";
 import { ask, kept, Latest, onConnection } from "./api.js";
+import * as basemap from "./basemap.js";
 import { button, by, errorNote, fill, make } from "./dom.js";
 import * as ground from "./ground.js";
+import * as knownGround from "./known_ground.js";
 import * as link from "./link.js";
 import * as loop from "./loop.js";
 import { map, showCostmap, showHeightmap } from "./map.js";
 import * as mapPanel from "./map_panel.js";
+import "./drives.js";
 import "./pieces.js";
 import "./profile.js";
 import { hint } from "./question.js";
@@ -69,11 +72,11 @@ async function openCostmap(asked, { changes = {}, seen } = {}) {
   const words = same && [other && (robot.mass_kg !== costmap.robot.mass_kg ? `robot of ${robot.mass_kg} kg` : model === costmap.model && "other values of the robot"), model !== costmap.model && `model ${model}`].filter(Boolean).join(", ");
   const route = words && answer?.path && answered("answer") ? { ...answer, words } : null;
   const battery = former?.robot.battery_wh === costmap.robot.battery_wh ? now.battery : { ...now.battery, capacity_wh: null };
-  set({ ...(same ? {} : { start: null, goal: null, stops: [], avoid: [], answer: null, reach: null, homeward: null }), battery, before: route, costmap, layers, heightmap, cursor: null, ...changes });
+  set({ ...(same ? {} : { start: null, goal: null, stops: [], avoid: [], ground: [], answer: null, reach: null, homeward: null }), drive: null, battery, before: route, costmap, layers, heightmap, cursor: null, ...changes });
   mapPanel.show();
   document.body.classList.add("has-map");
   by("view-3d").hidden = !about.plotly;
-  if (now.start && now.goal) toRoute(); else choose(by("tab-map"));
+  if (now.drive) choose(by("tab-drives")); else if (now.start && now.goal) toRoute(); else choose(by("tab-map"));
   hint();
   window.scrollTo(0, 0);
   await Promise.all([showCostmap(costmap, layers, same ? link.read().seen : seen), listMaps()]);
@@ -83,7 +86,7 @@ async function openGround({ heightmap, costmap, sample }) {
   try {
     if (costmap?.status === "done") { await openCostmap(costmap, { changes: sample ? { start: about.sample.start, goal: about.sample.goal } : {} }); return; }
     const here = heightmap ?? await ask(`v1/heightmaps/${costmap.heightmap_id}`);
-    set({ costmap: null, layers: null, heightmap: here, start: null, goal: null, stops: [], before: null });
+    set({ costmap: null, layers: null, heightmap: here, ground: [], start: null, goal: null, stops: [], before: null });
     document.body.classList.remove("has-map");
     choose(by("tab-map"));
     const wishing = mapPanel.wish(here);
@@ -104,6 +107,7 @@ async function begin() {
   about = await ask("page/start.json");
   savePanel.use(about.path_formats);
   robots.use(about.robot);
+  knownGround.use(about.kinds);
   routePanel.start(about.planners);
   mapPanel.use(about, costmap => {
     const changes = sampleOpen ? { start: about.sample.start, goal: about.sample.goal } : {};
@@ -111,6 +115,7 @@ async function begin() {
     openCostmap(costmap, { changes }).catch(error => ground.welcome(error.message));
   });
   ground.use(about, openGround);
+  if (about.basemap) basemap.use(about.basemap);
   savePanel.show();
   loop.show();
   by("new-map").addEventListener("click", () => ground.welcome());

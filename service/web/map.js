@@ -15,7 +15,7 @@ export const map = L.map("map", {
   crs: L.CRS.Simple, zoomSnap: 0.25, wheelPxPerZoomLevel: 90, minZoom: -9, maxZoom: 9, attributionControl: false, zoomControl: true, doubleClickZoom: false, boxZoom: false,
 }).setView([0, 0], 0);
 L.control.scale({ imperial: false, position: "bottomleft" }).addTo(map);
-for (const [name, order, of] of [["ground", 200], ["colour", 210], ["blocked", 220], ["pieces", 225], ["contours", 230], ["roses", 240], ["reach", 250, "reach"], ["route", 405, "answer"], ["runs", 410], ["return", 640, "homeward"], ["words", 655, "answer"]]) {
+for (const [name, order, of] of [["ground", 200], ["colour", 210], ["blocked", 220], ["pieces", 225], ["contours", 230], ["roses", 240], ["reach", 250, "reach"], ["route", 405, "answer"], ["runs", 410], ["drives", 415], ["return", 640, "homeward"], ["words", 655, "answer"]]) {
   const pane = map.createPane(name);
   pane.style.zIndex = order;
   if (order < 250) pane.style.pointerEvents = "none";
@@ -99,7 +99,7 @@ on("view heading", () => { colour(); hatch(); });
 on("show", () => { hatch(); contours(); });
 
 /** Latitude and longitude between the nine places that the service gave. */
-function latLon([x, y]) {
+export function latLon([x, y]) {
   const grid = now.layers?.lat_lon;
   if (!grid) return null;
   const [west, south, east, north] = now.costmap.frame.bounds;
@@ -113,7 +113,7 @@ function latLon([x, y]) {
 /** Why nothing can be driven at a place, in words. */
 export function reasonWords(reason) {
   const { wheel_radius_m: radius, max_grade_deg: grade, max_cross_slope_deg: side } = now.costmap.robot;
-  return { outside: "too near the edge of the map", unknown: "height unknown", step: `a step higher than the wheel radius of ${radius} m`, grade: `steeper than ${grade}°, the robot's limit`, cross_slope: `side slope above ${side}°, the robot's limit`, power: "more power than allowed", avoid: "area to avoid", obstacle: "a step under the outline of the robot" }[reason] ?? reason;
+  return { outside: "too near the edge of the map", unknown: "height unknown", step: `a step higher than the wheel radius of ${radius} m`, grade: `steeper than ${grade}°, the robot's limit`, cross_slope: `side slope above ${side}°, the robot's limit`, power: "more power than allowed", avoid: "area to avoid", obstacle: "an obstacle under the outline of the robot" }[reason] ?? reason;
 }
 
 /** A warning of the service, as far as it is one of the ground; `pieces` are those of a route that it may concern. */
@@ -173,9 +173,9 @@ map.getContainer().addEventListener("keydown", event => {
 for (const [name, how] of [["focus", "polite"], ["blur", "off"]]) map.getContainer().addEventListener(name, () => by("readout").setAttribute("aria-live", how));
 map.on("moveend", () => { if (byKeyboard()) say(map.getCenter()); });
 
-export function inside([x, y]) {
-  if (!now.costmap?.frame) return false;
-  const [west, south, east, north] = now.costmap.frame.bounds;
+export function inside([x, y], bounds = now.costmap?.frame?.bounds) {
+  if (!bounds) return false;
+  const [west, south, east, north] = bounds;
   return x > west && x < east && y > south && y < north;
 }
 

@@ -3,6 +3,7 @@
 import { ask, send } from "./api.js";
 import { alarm, attempt, by, fill, make, note, number, patch, percent, warn } from "./dom.js";
 import { sizeWords } from "./ground.js";
+import * as knownGround from "./known_ground.js";
 import { groundWarning, reasonWords } from "./map.js";
 import * as robots from "./robot.js";
 import { bind, settled, watched } from "./controls.js";
@@ -29,13 +30,13 @@ export async function wish(heightmap, chosen = "default") {
   by("make").onclick = () => {
     const invalid = by("wish").querySelector("input:invalid");
     if (invalid) { invalid.closest("details")?.setAttribute("open", ""); invalid.reportValidity(); return; }
-    build({ heightmap_id: heightmap.id, robot: robots.robot(), model: by("model").value, spacing_m: by("spacing").valueAsNumber, headings: by("headings").valueAsNumber });
+    build({ heightmap_id: heightmap.id, robot: robots.robot(), model: by("model").value, spacing_m: by("spacing").valueAsNumber, headings: by("headings").valueAsNumber, ...knownGround.layers() });
   };
   by("keep").hidden = !now.costmap;
   panel("wish");
 }
 by("keep").onclick = () => show();
-for (const name of ["input", "change"]) by("wish").addEventListener(name, () => draft("form", "this robot and model have no cost map yet"));
+for (const name of ["input", "change"]) by("wish").addEventListener(name, () => draft("form", "this robot, model and ground have no cost map yet"));
 
 function title(name, ...notes) { fill(by("ground-name"), name); fill(by("ground-said"), notes.map(words => note(words))); }
 
@@ -83,7 +84,7 @@ export const sentRobot = robot => Object.fromEntries(Object.entries(robot).filte
 function legend() {
   by("heading").hidden = now.view !== "heading";
   const here = by("legend"), scale = now.layers?.[now.view];
-  if (!now.layers) return;
+  if (!now.layers) { fill(here); return; }
   const { blocked = {} } = now.costmap, seen = now.layers.blocked.filter(({ reason }) => blocked[reason] > 0);
   fill(here, scale ? [make("div", { id: "scale", role: "img", "aria-label": `colours from ${number(scale.low, 0)} to ${number(scale.high, 0)} joules per metre` }, scale.colours.map(colour => patch(colour, ""))),
     make("div", { class: "ends number" }, make("span", {}, `${number(scale.low, 0)} J/m`), make("span", { class: "quiet" }, now.view === "directionality" ? "dearest less cheapest heading" : "energy per metre"), make("span", {}, `${number(scale.high, 0)} J/m`))] : null,

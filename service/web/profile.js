@@ -2,7 +2,6 @@
 
 import { by, draw, energy, fill, make, metres, number, percent } from "./dom.js";
 import { leaf, map, world } from "./map.js";
-import { TITLES } from "./route_panel.js";
 import { now, on, set } from "./state.js";
 
 const TALL = 190, LOW = 104, LEFT = 46, RIGHT = 24, GAP = 16, POINTS = 500, NEAR_PX = 14;
@@ -26,23 +25,24 @@ function ticks(low, high, most) {
   return [Array.from({ length: count(step) }, (_, k) => (first(step) + k) * step), Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
 }
 
-/** Axes of a panel, and the scales of its place: x for distances, y for values. */
-function panel(name, unit, lowest, highest, { left, top, width, tall }) {
-  const span = highest - lowest || 1, low = lowest - 0.06 * span, high = highest + 0.08 * span, bottom = top + tall - 22;
+/** Axes of a panel, and the scales of its place: x for distances up to `far`, y for values. */
+export function axes(name, unit, lowest, highest, { left, top, width, tall }, far = rows.at(-1).d) {
+  const finest = 5 * 10 ** (Math.floor(Math.log10(Math.max(Math.abs(lowest), Math.abs(highest)) || 1)) - 4); // longer numbers would be cut off
+  const span = highest > lowest ? Math.max(highest - lowest, finest) : 1, low = lowest - 0.06 * span, high = lowest + 1.08 * span, bottom = top + tall - 22;
   const y = value => top + 18 + (tall - 40) * (1 - (value - low) / (high - low));
-  const x = d => left + LEFT + (width - LEFT - RIGHT) * d / (rows.at(-1).d || 1);
+  const x = d => left + LEFT + (width - LEFT - RIGHT) * d / (far || 1);
   const parts = [draw("text", { x: left + LEFT, y: top + 11, class: "axis" }, `${name} [${unit}]`)];
   const [values, digits] = ticks(low, high, 5);
   for (const value of values) {
-    parts.push(draw("line", { x1: x(0), x2: x(rows.at(-1).d), y1: y(value), y2: y(value), class: "grid" }), draw("text", { x: left + LEFT - 5, y: y(value) + 4, class: "axis", "text-anchor": "end" }, number(value, digits)));
+    parts.push(draw("line", { x1: x(0), x2: x(far), y1: y(value), y2: y(value), class: "grid" }), draw("text", { x: left + LEFT - 5, y: y(value) + 4, class: "axis", "text-anchor": "end" }, number(value, digits)));
   }
-  const [ways, wayDigits] = ticks(0, rows.at(-1).d || 1, Math.max(5, width / 70));
+  const [ways, wayDigits] = ticks(0, far || 1, Math.max(5, width / 70));
   for (const d of ways) parts.push(draw("text", { x: x(d), y: top + tall - 6, class: "axis", "text-anchor": "middle" }, `${number(d, wayDigits)}${d === ways.at(-1) ? " m" : ""}`));
   return { x, y, parts, left, top, width, bottom };
 }
 
-const curve = (values, { x, y }) => values.map(([d, value], k) => `${k ? "L" : "M"}${x(d).toFixed(1)} ${y(value).toFixed(1)}`).join("");
-const area = (upper, lower, scale) => `${curve(upper, scale)}L${curve([...lower].reverse(), scale).slice(1)}Z`;
+export const curve = (values, { x, y }) => values.map(([d, value], k) => `${k ? "L" : "M"}${x(d).toFixed(1)} ${y(value).toFixed(1)}`).join("");
+export const area = (upper, lower, scale) => `${curve(upper, scale)}L${curve([...lower].reverse(), scale).slice(1)}Z`;
 
 function show() {
   const here = by("profile"), curves = by("curves"), answer = now.answer, empty = !answer?.profile?.length;
@@ -60,12 +60,12 @@ function show() {
   const places = [0.36, 0.32, 0.32].map((share, k) => (narrow ? { left: 0, top: k * LOW, width: wide, tall: LOW } : { left: k ? (0.04 + 0.32 * k) * wide : 0, top: 0, width: share * wide - (k < 2 ? GAP : 0), tall: TALL }));
   const svg = draw("svg", { viewBox: `0 0 ${wide} ${tall}`, height: tall, preserveAspectRatio: "none", tabindex: 0, role: "slider", "aria-label": "Place along the route", "aria-valuemin": 0, "aria-valuemax": Math.round(rows.at(-1).d), "aria-valuenow": 0 });
   const heights = rows.filter(row => row.z !== null).map(row => [row.d, row.z]), all = heights.map(([, z]) => z);
-  const ground = panel("height", "m", Math.min(...all), Math.max(...all), places[0]);
+  const ground = axes("height", "m", Math.min(...all), Math.max(...all), places[0]);
   svg.append(...ground.parts, draw("path", { d: `${curve(heights, ground)}L${ground.x(rows.at(-1).d)} ${ground.bottom}L${ground.x(0)} ${ground.bottom}Z`, class: "fill" }), draw("path", { d: curve(heights, ground), class: "curve height" }));
   const kinds = [["energy used", "Wh", j => j / 3600, 0], ["battery", "%", j => 100 * (charge - j / answer.full_j), 100 * reserve]];
   scales = [ground, ...kinds.map(([name, unit, value, floor], k) => {
     const of = key => rows.map(row => [row.d, value(row[key])]), band = banded() ? [of("high"), of("low")] : [];
-    const seen = [of("used"), ...band].flat().map(([, one]) => one), scale = panel(name, unit, Math.min(floor, ...seen), Math.max(...seen), places[k + 1]);
+    const seen = [of("used"), ...band].flat().map(([, one]) => one), scale = axes(name, unit, Math.min(floor, ...seen), Math.max(...seen), places[k + 1]);
     svg.append(...scale.parts, ...(band.length ? [draw("path", { d: area(...band, scale), class: "band" })] : []));
     if (k) {
       const level = scale.y(floor);
@@ -87,8 +87,7 @@ function show() {
     event.preventDefault();
     point(end ?? Math.max(0, Math.min(rows.at(-1).d, (now.cursor ?? 0) + step * rows.at(-1).d / 100)));
   });
-  const said = answer.verdict;
-  fill(curves, said ? make("p", { class: `verdict ${said.verdict}` }, make("b", {}, TITLES[said.verdict]), said.verdict_text.split("; ")[0].replace(/^\w+[:,] /, "")) : null, make("p", { class: "said", id: "along" }), svg);
+  fill(curves, make("p", { class: "said", id: "along" }), svg);
   summary();
   cursor();
 }
@@ -124,4 +123,4 @@ map.on("mousemove", ({ latlng, containerPoint }) => {
 });
 on("answer costmap", show);
 on("cursor", cursor);
-new ResizeObserver(() => requestAnimationFrame(show)).observe(by("stage"));
+new ResizeObserver(() => requestAnimationFrame(show)).observe(by("map"));

@@ -46,7 +46,7 @@ document.addEventListener("keydown", event => {
 export const takers = [];
 map.on("click", event => {
   const place = world(event.latlng).map(value => +value.toFixed(3));
-  if (!now.costmap || takers.some(taker => taker(place, event)) || !inside(place)) return;
+  if (takers.some(taker => taker(place, event)) || !now.costmap || !inside(place)) return;
   const what = expected();
   wanted = null;
   if (what) set(what === "stop" ? { stops: [...now.stops, place] } : { [what]: place });

@@ -25,7 +25,7 @@ function draw() {
   if (!found) { fill(said, note(now.start ? "Searching…" : "Set a start first.")); return; }
   if (found.error) { fill(said, errorNote(found.error)); return; }
   const { start, battery, charges, round_trip: back } = found.question.body, most = charges?.at(-1) ?? battery.charge;
-  const all = found.features.filter(one => one.geometry).sort((a, b) => a.properties.charge - b.properties.charge);
+  const all = found.features.filter(one => one.properties.area_m2 > 0).sort((a, b) => a.properties.charge - b.properties.charge);
   const order = all.filter(({ properties: { area_m2: size } }, k) => !k || size > 1.005 * all[k - 1].properties.area_m2).reverse(); // a charge that takes it no further is not shown
   order.forEach(({ geometry, properties }, k) => {
     const shade = SHADES[Math.min(k, SHADES.length - 1)];

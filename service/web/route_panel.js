@@ -66,8 +66,9 @@ function answer() {
   }
   const { verdict, shortest, objective, back } = found, ways = waysOf(found), sum = name => found[name] + (back?.[name] ?? 0);
   const [joules, long] = ["energy_j", "length_m"].map(name => Math.max(...ways.map(([,, way]) => way[name])));
+  const [first, ...more] = verdict?.verdict_text.replace(/^\w+[:,] |\.$/g, "").split("; ") ?? [], open = here.querySelector(".verdict details")?.open;
   fill(here,
-    verdict ? make("div", { class: `verdict ${verdict.verdict}` }, make("b", {}, TITLES[verdict.verdict]), make("ul", {}, [...verdict.verdict_text.replace(/^\w+[:,] |\.$/g, "").split("; "), `charge ${percent(verdict.charge_at_start)} at the start, ${verdict.charge_at_end > 0 ? `${percent(verdict.charge_at_end, 1)} expected at the end` : "empty before the end"}`].map(words => make("li", {}, words)))) : null,
+    verdict ? make("div", { class: `verdict ${verdict.verdict}` }, make("b", {}, TITLES[verdict.verdict]), make("p", {}, first), make("details", { open }, make("summary", {}, "More"), make("ul", {}, [...more, `charge ${percent(verdict.charge_at_start)} at the start, ${verdict.charge_at_end > 0 ? `${percent(verdict.charge_at_end, 1)} expected at the end` : "empty before the end"}`].map(words => make("li", {}, words))))) : null,
     objective ? note((objective.name === "quantile" ? [`${percent(objective.quantile)} of drives take at most ${energy(objective.quantile_j)}`, energy(objective.mean_quantile_j)] : [`It arrives with a probability of ${percent(objective.probability, 1)}`, percent(objective.mean_probability, 1)]).join("; on the way of least expected energy "), ".") : null,
     shortest ? make("p", {}, found.saving_j > 0.5 ? make("span", {}, "Going this way saves ", make("b", {}, energy(found.saving_j)), ` (${number(found.saving_percent, 1)} %) against the shortest way.`) : "The shortest way is also the cheapest.") : null,
     table([["way", "energy", "battery", "length"], ...ways.map(([kind, name, way]) => [nameOf(kind, name, way), energy(way.energy_j, joules), ofBattery(way.energy_j, joules, way.full_j ?? found.full_j), metres(way.length_m, long)])], "The ways"),

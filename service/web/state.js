@@ -5,12 +5,12 @@ const parts = {
   costmap: null, layers: null, heightmap: null,
   view: "mean", heading: 0, show: { contours: true, blocked: true, roses: true },
   battery: { charge: 1, reserve: 0.2, capacity_wh: null }, roundTrip: false, // capacity: null is that of the robot
-  planner: "astar", alternatives: 0, avoid: [], aim: { objective: "mean", quantile: 0.95, max_power_w: null },
+  planner: "astar", alternatives: 0, avoid: [], ground: [], aim: { objective: "mean", quantile: 0.95, max_power_w: null },
   snap: null, // the places that are to be moved off blocked ground
   confidence: 0.95, reachOpen: false, turnBack: false,
   answer: null, reach: null, homeward: null, // see answers.js
   drafts: new Map(), // what changes the question and is not finished: whatever it is -> words for it
-  cursor: null, before: null,
+  cursor: null, before: null, drive: null, // the id of the drive that is watched
 };
 const listeners = new Map();
 

@@ -27,13 +27,13 @@ window.addEventListener("message", ({ data, origin }) => {
   const { surface: { x, y, z }, routes, dark } = data, known = z.flat().filter(value => value !== null);
   const low = Math.min(...known), high = Math.max(...known), wide = Math.abs(x.at(-1) - x[0]), deep = Math.abs(y.at(-1) - y[0]), longest = Math.max(wide, deep);
   const tall = Math.max(0.05, Math.min(EXAGGERATION, 3 * (high - low) / longest));
-  const lift = 0.012 * (high - low), ink = dark ? "#e8ecef" : "#1d2329";
+  const lift = 0.012 * (high - low), narrow = window.innerWidth < 600, ink = dark ? "#e8ecef" : "#1d2329";
   const lines = routes.map(({ name, colour, path }) => ({ type: "scatter3d", mode: "lines", name, ...onGround(path, x, y, z, low, lift), line: { color: colour, width: 8 } }));
-  const axis = title => ({ title: { text: title }, color: ink, gridcolor: dark ? "#3a434c" : "#d6dbe0" });
-  const view = document.getElementById("view"), far = Math.max(1, 1.3 * window.innerHeight / window.innerWidth);
+  const axis = title => ({ title: { text: title }, nticks: narrow ? 4 : 0, color: ink, gridcolor: dark ? "#3a434c" : "#d6dbe0" });
+  const view = document.getElementById("view"), far = Math.max(1, 1.5 * window.innerHeight / window.innerWidth);
   view.replaceChildren();
   window.Plotly.newPlot(view, [{ type: "surface", x: x.map(value => value - x[0]), y: y.map(value => value - y.at(-1)), z, colorscale: [[0, "#9dbb94"], [0.4, "#d5d5a4"], [0.7, "#ead9b0"], [1, "#f4ead8"]], showscale: false, contours: { z: { show: true, usecolormap: false, color: "#6b6154", width: 1 } }, name: "ground" }, ...lines],
-    { margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: dark ? "#1d2329" : "#ffffff", font: { color: ink }, legend: { x: 0, y: 1 }, scene: { camera: { eye: { x: 0.3 * far, y: -1.75 * far, z: 1.15 * far }, center: { x: 0, y: 0, z: -0.25 } }, aspectmode: "manual", aspectratio: { x: 1.6 * wide / longest, y: 1.6 * deep / longest, z: 1.6 * tall }, xaxis: axis("east of the corner [m]"), yaxis: axis("north of the corner [m]"), zaxis: axis("height [m]") } },
+    { margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: dark ? "#1d2329" : "#ffffff", font: { color: ink }, legend: { x: 0, y: 1 }, scene: { camera: { eye: { x: 0.3 * far, y: -1.75 * far, z: 1.15 * far }, center: { x: 0, y: 0, z: -0.25 } }, aspectmode: "manual", aspectratio: { x: 1.6 * wide / longest, y: 1.6 * deep / longest, z: 1.6 * tall }, xaxis: axis("east [m]"), yaxis: axis("north [m]"), zaxis: axis("height [m]") } },
     { responsive: true, displaylogo: false, displayModeBar: false }).then(() => { view.dataset.drawn = "yes"; });
 });
 window.parent.postMessage("ready", window.location.origin);

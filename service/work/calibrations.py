@@ -25,7 +25,7 @@ from joulemap.service.loop.segments_document import segments_document
 from joulemap.service.models import CALIBRATED_FOLDER
 from joulemap.service.problems import problem_of
 from joulemap.service.questions.calibrating import CalibrationOptions, ask
-from joulemap.service.storage.sums import MODEL_SUMS, sums_of
+from joulemap.service.storage.files import MODEL_SUMS, sums_of
 from joulemap.service.work.processes import end_with_parent, run
 
 REPORT, PAGE, SEGMENTS = "report.json", "report.html", "segments.json"

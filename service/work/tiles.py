@@ -24,7 +24,8 @@ from joulemap.model.terrain.readers import open_ground
 from joulemap.planner.figures import figures_of, joined_figures
 from joulemap.planner.lattice.build import build_tile, knows_spread, provenance_of, squares_of
 from joulemap.planner.lattice.io import LatticeFolder
-from joulemap.service.cost_lattices import prepare_build
+from joulemap.service.analysis.cost_lattices import prepare_build
+from joulemap.service.storage.stats import frame_values
 from joulemap.service.work.stored_base import with_stored_base
 
 _LAYOUT, _PROVENANCE, _SUMMARY = "layout.json", "provenance.json", "summary.json"
@@ -172,7 +173,7 @@ def _unless_deleted(order: MapOrder) -> Iterator[None]:
 
 
 def _summary(tiles: Tiles) -> dict[str, Any]:
-    order, frame = tiles.order, tiles.tiling.frame
+    order = tiles.order
     provenance = _provenance(tiles)
     notes = [_note(order, number).read_text(encoding="utf-8") for number in range(len(tiles.tiling))]
     figures = joined_figures([json.loads(note) for note in notes])
@@ -185,13 +186,7 @@ def _summary(tiles: Tiles) -> dict[str, Any]:
             provenance["warnings"].append(error.message)
     return {
         "robot": tiles.robot.as_dict(),
-        "frame": {
-            "rows": frame.rows,
-            "cols": frame.cols,
-            "spacing_m": frame.resolution_m,
-            "bounds": list(frame.bounds),
-            "crs": frame.crs,
-        },
+        "frame": frame_values(tiles.tiling.frame, side="spacing_m"),
         "provenance": provenance,
         **figures,
     }

@@ -19,7 +19,7 @@ from typing import Any
 import zarr
 
 from joulemap.model.energy.predictor import MODEL_NAMES
-from joulemap.service.storage.object_vault import ObjectVault, Part
+from joulemap.service.storage.vault import ObjectVault, Part
 from joulemap.service.work import calibrations, tiles
 from joulemap.service.work.tiles import MapOrder
 
@@ -57,11 +57,21 @@ class VaultedOrder:
     def here(self) -> MapOrder:
         """Return the order for this machine, once its heightmap and its model are there."""
         copies = _copies(self.folder)
-        heightmap = self.order.heightmap.relative_to(self.folder)
-        self.vault.fetch(heightmap.as_posix(), _ready(copies / heightmap))
+
+        def _fetched(place: Path) -> Path:
+            within = place.relative_to(self.folder)
+            self.vault.fetch(within.as_posix(), _ready(copies / within))
+            return copies / within
+
+        reading = dict(self.order.reading)
+        if "layers" in reading:
+            reading["layers"] = {
+                role: _fetched(layer) if isinstance(layer, Path) else layer for role, layer in reading["layers"].items()
+            }
         _fetch_model(self.vault, str(self.order.model), copies)
         place = _ready(copies / self.key)
-        here = replace(self.order, place=place, heightmap=copies / heightmap, models_dir=copies / "models")
+        heightmap = _fetched(self.order.heightmap)
+        here = replace(self.order, place=place, heightmap=heightmap, reading=reading, models_dir=copies / "models")
         here.folder.begin()
         return here
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from distributed import WorkerPlugin
 
-from joulemap.service.warm_up import warm_up_models
+from joulemap.service.work.warm_up import warm_up_models
 
 
 class Warm(WorkerPlugin):

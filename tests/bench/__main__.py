@@ -16,9 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from joulemap.model.terrain.readers import read_heightmap
-from tests.bench.calibration import bench_calibration
-from tests.bench.homeward import compare_return
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.bench.large_maps import bench_large, bench_start_up
 from tests.bench.lattice import bench_bins, bench_lattice, bench_tiles
 from tests.bench.objectives import compare_objectives
@@ -27,7 +25,6 @@ from tests.bench.reach import compare_reach
 from tests.bench.searches import bench_searches
 from tests.bench.stages import bench
 from tests.bench.timing import Row
-from tests.bench.workers import bench_workers
 
 SIZES = (200, 1000)
 
@@ -40,14 +37,11 @@ def main() -> None:
     only = parser.add_mutually_exclusive_group()
     only.add_argument("--searches", action="store_true", help="only the searches")
     only.add_argument("--lattice", action="store_true", help="only the cost lattice")
-    only.add_argument("--workers", action="store_true", help="only two worker processes beside one")
     only.add_argument("--large", type=int, nargs="+", help="only start-up, and paths on maps of so many cells a side")
-    only.add_argument("--calibration", action="store_true", help="only a calibration of ten runs")
     only.add_argument("--peers", action="store_true", help="set other people's searches beside ours instead")
     only.add_argument("--heightmap", type=Path, help="compare the planners' energies on this map instead")
     only.add_argument("--quality", action="store_true", help="set the default answer beside every other option of ours")
     only.add_argument("--reach", action="store_true", help="set reach beside planning to one goal after another")
-    only.add_argument("--return", action="store_true", dest="homeward", help="ask a service until where one comes home")
     only.add_argument("--objectives", action="store_true", help="set routes that weigh odds beside the cheapest ones")
     parser.add_argument("--tasks", type=int, default=10, help="random tasks a map (--quality, --reach, ...)")
     parser.add_argument("--seed", type=int, default=11, help="of the random tasks of --quality")
@@ -67,8 +61,6 @@ def main() -> None:
     elif options.objectives:
         for found in compare_objectives(read_heightmap(options.real) if options.real else None, options.tasks):
             console.print(found)
-    elif options.homeward:
-        console.print(compare_return())
     elif options.peers:
         for cells in options.sizes:
             console.print(compare_peers(cells, options.resolution))
@@ -78,8 +70,6 @@ def main() -> None:
             stages = [bench_searches if options.searches else bench_lattice]
         if options.large:
             rows = [*bench_start_up(), *(row for cells in options.large for row in bench_large(cells))]
-        elif options.workers or options.calibration:
-            rows = bench_workers() if options.workers else bench_calibration()
         else:
             rows = [row for cells in options.sizes for stage in stages for row in stage(cells, options.resolution)]
             if bench_lattice in stages:

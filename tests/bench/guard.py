@@ -29,13 +29,13 @@ from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import BlockedError, NoRouteError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.synthesis import sample_terrain
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.pricing.moves import move_table
-from joulemap.planner.pricing.polylines import distances_along, subdivided
-from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.pricing.polylines import subdivided
+from joulemap.planner.route_planner import RouteOptions, RoutePlanner
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.bench.maps import terrain
 
 STORED = Path(__file__).parent / "stored_answers.npz"
@@ -121,7 +121,7 @@ def random_ends(lattice: CostLattice, tasks: int, seed: int) -> NDArray[np.int16
         if np.abs(start - goal).max() < LEAST_CELLS:
             continue
         try:
-            planner.plan(*(lattice.frame.xy(*end) for end in (start, goal)), refine=False)
+            planner.plan(*(lattice.frame.xy(*end) for end in (start, goal)), RouteOptions(refine=False))
         except (BlockedError, NoRouteError):  # grade and cross slope may close every heading of a cell
             continue
         out.append(np.concatenate([start, goal]).astype(np.int16))
@@ -144,7 +144,7 @@ def answers(lattice: CostLattice, ends: NDArray[np.int16]) -> Answers:
 
 
 def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    along = distances_along(points)
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
     at = np.linspace(0.0, along[-1], ROUTE_POINTS)
     return np.column_stack([np.interp(at, along, points[:, axis]) for axis in range(2)])
 

@@ -45,7 +45,7 @@ def bench_large(cells: int) -> list[Row]:
         peaks: list[int] = []
         took = once(lambda: peaks.append(peak_mib([*asked, "--json", f"{folder}/path.json"])))
         details = json.loads((Path(folder) / "path.json").read_text())["details"]
-    words = f"`joulemap path` corner to corner, peak {peaks[0]} MiB, grid gap {100 * details['grid_gap']:.3f} %"
+    words = f"`joulemap path` corner to corner, peak {peaks[0]} MiB, {details['tiles']:,} tiles priced"
     load = f"load {os.getloadavg()[0]:.1f}"
     return [
         (f"{cells} x {cells}", f"{words}, {details['expanded']:,} cells settled, {load}", took, "", None),

@@ -18,10 +18,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from joulemap.model.terrain.readers import read_heightmap
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import metres_within_margin, path_price
 from joulemap.planner.route_planner import RoutePlanner
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.bench.guard import CASES, SEED, lattice_of, random_ends
 
 SHIFT_M, RUNS, TRACKING_STD_M = 0.1, 20, 0.1

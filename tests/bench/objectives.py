@@ -15,8 +15,8 @@ from joulemap.model.errors import InfeasibleError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice.build import build_lattice
-from joulemap.planner.route_planner import RoutePlanner
-from joulemap.service.objectives import Objective, Weighed, plan_by
+from joulemap.planner.route_planner import RouteOptions, RoutePlanner
+from joulemap.service.analysis.objectives import Objective, Weighed, plan_by
 from tests.bench.maps import terrain
 
 CELLS = 200
@@ -40,12 +40,12 @@ def _compared(name: str, ground: Heightmap, tasks: int) -> Table:
         inside = chance.uniform(3.0, np.array(planner.lattice.frame.shape) - 4.0, (2, 2))
         ends = [tuple(float(v) for v in planner.lattice.frame.xy(*place)) for place in inside]
         try:
-            mean = planner.plan(ends[0], ends[1], snap=True).route
+            mean = planner.plan(ends[0], ends[1], RouteOptions(snap=True)).route
         except InfeasibleError:
             continue
         battery = Battery(280.0, charge=MORE * mean.energy_j / 3600.0 / 280.0)
         for objective, seen in found.items():
-            plan = plan_by(planner, ends[0], ends[1], Objective(objective), battery=battery, snap=True)
+            plan = plan_by(planner, ends[0], ends[1], Objective(objective), RouteOptions(snap=True), battery=battery)
             same += objective == "quantile" and np.array_equal(plan.route.points, mean.points)
             seen.append(Weighed(**plan.details["objective"]))
     table = Table(

@@ -21,7 +21,7 @@ from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.errors import BlockedError, NoRouteError
 from joulemap.model.robot import Robot
 from joulemap.planner.lattice.build import build_lattice
-from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.route_planner import RouteOptions, RoutePlanner
 from tests.reference.outline import ROBOTS, first_collision, wall_with_door, world_with_walls
 
 TASKS_A_WORLD = 20
@@ -36,7 +36,7 @@ def collisions(robot: Robot, cells_m: float, spacing_m: float, tasks: int, rng: 
             planner = RoutePlanner(build_lattice(heightmap, robot, PhysicsPredictor(), spacing_m=spacing_m))
         start, goal = rng.uniform(0.05, 0.95, (2, 2)) * heightmap.frame.bounds[2]
         with suppress(NoRouteError, BlockedError):
-            plan = planner.plan(tuple(start), tuple(goal), snap=True)
+            plan = planner.plan(tuple(start), tuple(goal), RouteOptions(snap=True))
             for route in (plan.route, plan.shortest):
                 routes += 1
                 met += first_collision(route.points[:, :2], robot, wall, heightmap.frame) is not None

@@ -25,7 +25,7 @@ from joulemap.planner.pricing.integrator import leg_prices_between, path_price
 from joulemap.planner.pricing.move_prices import move_offsets
 from joulemap.planner.pricing.moves import MoveTable, move_table, table_of
 from joulemap.planner.questions.bound import bound_table, energy_bound
-from joulemap.planner.route_planner import SAMPLING_PLANNERS, RoutePlanner
+from joulemap.planner.route_planner import SAMPLING_PLANNERS, RouteOptions, RoutePlanner
 from tests.bench.maps import CORNERS, free_corner, physics_lattice, terrain
 from tests.bench.peers import PeerRow, Question, ask_peers
 from tests.bench.searches import scipy_graph
@@ -49,19 +49,14 @@ def compare_planners(heightmap: Heightmap) -> Table:
         best = planner.plan(start, goal)
         energies = {
             "any-angle route": best.route.energy_j,
-            "16 neighbours": planner.plan(start, goal, refine=False).route.energy_j,
+            "16 neighbours": planner.plan(start, goal, RouteOptions(refine=False)).route.energy_j,
             "shortest path": best.shortest.energy_j,
         }
         for name in SAMPLING_PLANNERS:
-            for words, from_grid in (("", False), (", from the grid", True)):
-                staged = name == "bitstar" and from_grid  # its corridors narrow with the time it has
-                for limits in [(limit,) for limit in LIMITS_S] if staged else [LIMITS_S]:
-                    history = sampled(planner, start, goal, name, limits[-1], from_grid=from_grid)
-                    for limit in limits:
-                        by_then = [energy for second, energy in history if second <= limit + 0.05]
-                        energies[f"{name}{words}, {limit:g} s"] = min(by_then, default=np.nan)
-        finished = planner.plan(start, goal, planner="bitstar", time_limit_s=3.0, from_grid=True)
-        energies["bitstar, from the grid, 3 s, any-angle after it"] = finished.route.energy_j
+            history = sampled(planner, start, goal, name, LIMITS_S[-1])
+            for limit in LIMITS_S:
+                by_then = [energy for second, energy in history if second <= limit + 0.05]
+                energies[f"{name}, {limit:g} s"] = min(by_then, default=np.nan)
         columns.append(energies)
         table.add_column(f"crossing {k + 1}, {best.route.length_m:.0f} m", justify="right")
     for name in columns[0]:
@@ -75,12 +70,10 @@ def sampled(
     goal: tuple[float, float],
     name: str,
     limit_s: float,
-    *,
-    from_grid: bool,
 ) -> list[tuple[float, float]]:
     """(seconds, energy [J]) of a sampling planner's best way as it fell; empty where it found none."""
     try:
-        found = planner.plan(start, goal, planner=name, time_limit_s=limit_s, refine=False, from_grid=from_grid)
+        found = planner.plan(start, goal, RouteOptions(planner=name, time_limit_s=limit_s, refine=False))
     except NoRouteError:
         return []
     return found.details.get("history", [])
@@ -106,7 +99,7 @@ def compare_peers(cells: int, resolution_m: float) -> Table:
     ends = [tuple(float(v) for v in lattice.frame.xy(*end)) for end in (start, goal)]
     for name in ("rrtstar", "bitstar"):
         try:
-            found = RoutePlanner(lattice).plan(*ends, planner=name, time_limit_s=3.0, refine=False)
+            found = RoutePlanner(lattice).plan(*ends, RouteOptions(planner=name, time_limit_s=3.0, refine=False))
             rows.append(PeerRow(f"OMPL {name}, 3 s", 3.0, energy_j=found.details["sampled_energy_j"]))
         except NoRouteError:
             rows.append(PeerRow(f"OMPL {name}, 3 s", 3.0, note="no route in that time"))
@@ -121,7 +114,7 @@ def compare_peers(cells: int, resolution_m: float) -> Table:
 
 REFINED = 4
 """Nodes of the reference along the side of a cell."""
-OPTIONS = ("alternatives", "32 neighbours", "BIT* from the grid")
+OPTIONS = ("alternatives", "32 neighbours", "BIT*")
 """What else of ours may be asked for a route."""
 NOTICED = 0.001
 """Share of the energy that another option of ours may save."""
@@ -130,7 +123,7 @@ NOTICED = 0.001
 def compare_options(heightmap: Heightmap | None, tasks: int, sampling_s: float, seed: int, only: str = "") -> Table:
     """Random tasks on several maps: what other options of ours, a finer lattice and the bound say beside the default.
 
-    heightmap : a real one, or None; sampling_s : time of BIT* from the grid, 0 to leave it out; seed : of the tasks;
+    heightmap : a real one, or None; sampling_s : time of BIT*, 0 to leave it out; seed : of the tasks;
     only : part of the names of the maps.
     """
     out = Table(title=f"energy of the default answer beside others, {tasks} random tasks a map")
@@ -190,11 +183,14 @@ def _gaps(lattice: CostLattice, tasks: int, sampling_s: float, seed: int) -> tup
         spent += time.perf_counter() - began
         done += 1
         energy = best.route.energy_j
-        others = planner.plan(*ends, alternatives=3)
-        found = {names[0]: others.route.energy_j, names[1]: planner.plan(*ends, neighbours=32).route.energy_j}
+        others = planner.plan(*ends, RouteOptions(alternatives=3))
+        found = {
+            names[0]: others.route.energy_j,
+            names[1]: planner.plan(*ends, RouteOptions(neighbours=32)).route.energy_j,
+        }
         if sampling_s > 0.0:
             found[names[2]] = planner.plan(
-                *ends, planner="bitstar", from_grid=True, time_limit_s=sampling_s
+                *ends, RouteOptions(planner="bitstar", time_limit_s=sampling_s)
             ).route.energy_j
         found[names[3]] = reference_energy(fine, start, goal)
         if prices is not None:

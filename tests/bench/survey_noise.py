@@ -141,7 +141,8 @@ def times() -> None:
 
 def _open(lattice: CostLattice) -> CostLattice:
     """The same prices without steps, so that every route exists on every survey."""
-    return replace(lattice, blocked=np.where(lattice.blocked == Blocked.STEP, Blocked.FREE, lattice.blocked))
+    closed = np.isin(lattice.blocked, [Blocked.STEP, Blocked.OBSTACLE])
+    return replace(lattice, blocked=np.where(closed, Blocked.FREE, lattice.blocked), obstacles=None)
 
 
 def main() -> None:

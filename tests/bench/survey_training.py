@@ -34,9 +34,9 @@ from joulemap.model.runs.reader import read_run
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.survey import SurveyQuality, degrade
-from joulemap.model.training.measured_runs import train_on_runs
 from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on
 from tests.paper.fieldwork import explained_j
+from tests.reference.one_site import train_on_runs
 
 FloatArray = NDArray[np.float64]
 

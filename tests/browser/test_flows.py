@@ -17,6 +17,7 @@ import pytest
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.questions import feasibility, path
 from joulemap.service.storage.keys import add_key
 from joulemap.service.storage.store import Store
 from tests.browser.chromium import PHONE, WIDE, inaccessible, opened
@@ -87,6 +88,7 @@ def test_the_loop(browser: Any, address: str, calibrated_on: str, tmp_path: Path
         tab.page.click("#tab-runs")
         tab.page.set_input_files("#runs-files", renamed)
         tab.page.wait_for_selector("#columns select")
+        assert tab.text("#columns tbody tr >> nth=0").split()[0] == rows[0].split(",")[0]
         for label, name in (
             ("Time (needed)", "q1"),
             ("x, east", "q2"),
@@ -205,9 +207,15 @@ def test_areas_stops_and_reach(browser: Any, address: str, calibrated_on: str) -
         shot(tab, "stops")
 
 
-def test_files(browser: Any, address: str, calibrated_on: str) -> None:
+def test_files(browser: Any, address: str, calibrated_on: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is planned again for them."""
+
+    def _again(*_: object, **__: object) -> None:
+        raise AssertionError("it is planned again")
+
     with opened(browser, address, hash=calibrated_on, accept_downloads=True) as tab:
         tab.drawn()
+        monkeypatch.setattr(path, "ask", _again)
         tab.page.click("#tab-save")
         shot(tab, "save")
 
@@ -222,9 +230,11 @@ def test_files(browser: Any, address: str, calibrated_on: str) -> None:
         assert saved("PNG").startswith(b"\x89PNG")
         assert saved("GeoTIFF")[:2] in (b"II", b"MM")
         assert saved("Zarr").startswith(b"PK")
+        monkeypatch.undo()
         tab.page.click("#tab-route")
         tab.page.check("#round-trip")
         tab.page.wait_for_function("() => joulemap.now.answer?.back")
+        monkeypatch.setattr(feasibility, "ask", _again)
         tab.page.click("#tab-save")
         there = gpxpy.parse(saved("GPX").decode()).tracks
         assert [track.name for track in there] == ["way out", "way back"]
@@ -273,3 +283,53 @@ def test_a_service_with_keys_asks_for_one(browser: Any, tmp_path: Path) -> None:
         tab.page.fill("dialog input", key)
         tab.page.click("dialog button")
         tab.page.wait_for_function("() => document.querySelector('#welcome')?.textContent.includes('Nothing yet')")
+
+
+@pytest.mark.parametrize(
+    ("viewport", "look"),
+    [
+        pytest.param(WIDE, "light", id="wide, light"),
+        pytest.param(PHONE, "dark", id="phone, dark"),
+        pytest.param(WIDE, "dark", id="wide, dark", marks=pytest.mark.slow),
+        pytest.param(PHONE, "light", id="phone, light", marks=pytest.mark.slow),
+    ],
+)
+def test_areas_of_the_ground_are_drawn_and_the_cost_map_has_them(
+    browser: Any, address: str, calibrated_on: str, viewport: dict[str, int], look: str
+) -> None:
+    """Mud with a rolling resistance, and an obstacle: more for a metre in the first, and none in the second."""
+    with opened(browser, address, hash=calibrated_on, viewport=viewport, color_scheme=look) as tab:
+        tab.page.wait_for_selector("#again", state="attached")
+        before = tab.page.evaluate("joulemap.now.costmap.id")
+        west, _, _, north = hills().frame.bounds
+        tab.page.click("#tab-map")
+        tab.page.click("#again")
+        tab.page.click("#known-ground summary")
+        for x, y in ((14.0, 14.0), (30.0, 14.0)):
+            tab.page.click("#ground-areas > button")
+            for dx, dy in ((-4.0, -4.0), (4.0, -4.0), (4.0, 4.0), (-4.0, 4.0)):
+                tab.page.mouse.click(*tab.place(west + x + dx, north - y + dy))
+            tab.page.keyboard.press("Enter")
+        tab.page.wait_for_selector("#ground-areas fieldset >> nth=1")
+        tab.page.fill("#ground-areas fieldset:nth-of-type(1) input[type=number]", "0.4")
+        tab.page.select_option("#ground-areas fieldset:nth-of-type(2) select", "obstacles")
+        assert inaccessible(tab.page) == []
+        shot(tab, f"ground-{viewport['width']}-{look}")
+        tab.page.click("#make")
+        tab.page.wait_for_function("before => joulemap.now.costmap?.id !== before", arg=before)
+        made = tab.page.evaluate("joulemap.now.costmap")
+        shot(tab, f"ground-made-{viewport['width']}-{look}")
+    assert [layer["role"] for layer in made["provenance"]["layers"]] == ["kinds", "obstacles"]
+    with httpx.Client(base_url=address) as client:
+        prices, blocked = [], []
+        for costmap_id in (before, made["id"]):
+            answers = [
+                client.get(f"/v1/costmaps/{costmap_id}/at", params={"x": west + x, "y": north - 14.0}).json()
+                for x in (14.0, 30.0)
+            ]
+            prices.append(max(value for value in answers[0]["energy_per_m"] if value is not None))
+            blocked.append(set(answers[1]["blocked"]))
+    more = 0.4 - made["robot"]["rolling_resistance"]  # uphill, where all of it counts
+    assert prices[1] - prices[0] == pytest.approx(more * made["robot"]["mass_kg"] * 9.80665, rel=1e-3)
+    assert "obstacle" not in blocked[0]
+    assert blocked[1] == {"obstacle"}

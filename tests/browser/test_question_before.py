@@ -18,7 +18,7 @@ from tests.browser.looks import LOOK, SLOW, Service, check
 
 WALK_S = float(os.environ.get("JOULEMAP_WALK_S", "6"))
 """Seconds of the random walk; the time for the questions that are asked again to compare comes on top."""
-ROUTE = ("verdict", "ways", "along", "summary", "labels", "curve", "files")
+ROUTE = ("verdict", "ways", "along", "labels", "curve", "files")
 LOOKED_AT = {"route": ROUTE, "reach": ("reach",), "homeward": ("homeward",)}
 
 
@@ -127,7 +127,7 @@ def other_map(tab: Any) -> None:
 
 def other_robot(tab: Any) -> None:
     tab.page.click("#tab-map")
-    tab.page.click("text=Another robot or model")
+    tab.page.click("#again")
     tab.page.fill("#robot input >> nth=0", "50")
 
 
@@ -179,7 +179,7 @@ def test_dim_at_once(tab: Any) -> None:
     """Each input, while no answer comes; what was answered is bright again when the question is that one again."""
     before = tab.page.evaluate(LOOK)
     for name in (name for names in LOOKED_AT.values() for name in names):
-        assert before[name] or name == "summary", name  # which is for phones
+        assert before[name], name
     assert not any(before["says"])
     tab.page.evaluate("hold()")
     for name, ((act, back), concerned) in INPUTS.items():

@@ -15,8 +15,7 @@ from joulemap.model.loop.calibrate import calibrate
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import CalibrationRuns, read_calibration_runs
 from joulemap.model.runs.sites import Site
-from joulemap.model.terrain.readers import read_heightmap
-from joulemap.service.library.heightmaps import heightmap_from_runs
+from joulemap.service.library.heightmaps import heightmap_from_runs, read_heightmap
 from joulemap.service.loop.calibration import campaigns_of
 from joulemap.service.loop.measured import measure
 from tests.coverage.scores import Held, Judged, judged

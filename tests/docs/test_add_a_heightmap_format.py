@@ -13,7 +13,8 @@ from rasterio.io import MemoryFile
 from joulemap.model.errors import HeightmapError, TooLargeError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain import formats
-from joulemap.model.terrain.readers import open_ground, read_heightmap
+from joulemap.model.terrain.readers import open_ground
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.docs.code_blocks import Machine, blocks_of
 
 PAGE = "docs/how-to/add-a-heightmap-format.md"

@@ -15,9 +15,8 @@ from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import ModelError
 from joulemap.model.frames import heading_bins
-from joulemap.model.training.evaluation import evaluate_on_runs
-from joulemap.model.training.measured_runs import train_on_runs
 from tests.docs.code_blocks import Machine, blocks_of
+from tests.reference.one_site import evaluate_on_runs, train_on_runs
 from tests.service.test_learning import ROBOT, SHIPPED, drive, waves
 
 PAGE = "docs/how-to/add-a-model.md"

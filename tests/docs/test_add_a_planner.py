@@ -11,10 +11,9 @@ import pytest
 
 from joulemap.model.errors import InputError, NoRouteError
 from joulemap.planner import planners
-from joulemap.planner.pricing.integrator import price_world_path
-from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.route_planner import RouteOptions, RoutePlanner
 from tests.docs.code_blocks import Machine, blocks_of
-from tests.reference.lattices import ascii_lattice, random_lattice
+from tests.reference.lattices import ascii_lattice, price_world_path, random_lattice
 
 PAGE = "docs/how-to/add-a-planner.md"
 
@@ -44,12 +43,12 @@ def test_it_is_never_cheaper_than_astar_and_within_its_factor(example: dict[str,
     free = np.argwhere(lattice.blocked == 0)[[3, -4]] + rng.uniform(-0.1, 0.1, (2, 2))
     start, goal = (tuple(float(v) for v in lattice.frame.xy(*place)) for place in free)
     try:
-        best = planner.plan(start, goal, refine=False)
+        best = planner.plan(start, goal, RouteOptions(refine=False))
     except NoRouteError:
         with pytest.raises(NoRouteError):
-            planner.plan(start, goal, planner="weighted_astar", refine=False)
+            planner.plan(start, goal, RouteOptions(planner="weighted_astar", refine=False))
         return
-    mine = planner.plan(start, goal, planner="weighted_astar", refine=False)
+    mine = planner.plan(start, goal, RouteOptions(planner="weighted_astar", refine=False))
     prices = [price_world_path(lattice, plan.route.points) for plan in (best, mine)]
     assert prices[0] * (1 - 1e-6) <= prices[1] <= example["WEIGHT"] * prices[0]
     assert mine.planner == mine.details["planner"] == "weighted_astar"

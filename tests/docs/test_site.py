@@ -15,7 +15,7 @@ import yaml
 
 import joulemap
 from joulemap.model.robot import Robot
-from joulemap.service.settings import Settings
+from joulemap.service.hosting.settings import Settings
 from tests.docs.code_blocks import ROOT
 
 

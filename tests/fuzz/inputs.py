@@ -21,11 +21,11 @@ from rasterio.transform import Affine
 
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import cut_segments
-from joulemap.model.runs.odometry import Odometry, read_odometry
-from joulemap.model.runs.reader import parse_run
+from joulemap.model.runs.odometry import Odometry
+from joulemap.model.runs.reader import parse_run, read_run
 from joulemap.model.runs.rolling import cut_travel
-from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.fuzz import paths, recordings
 from tests.fuzz.files import LOG, Rng, parquet
 from tests.reference.heightmap_files import ASC, geotiff, npy, npz, png, points_file
@@ -248,7 +248,7 @@ def _run(content: bytes, rng: Rng) -> None:
 def _travel(content: bytes, rng: Rng) -> None:
     place = _FOLDER / f"fuzz-{id(rng)}.csv"
     place.write_bytes(content)
-    run = read_odometry(place, Odometry(1.0), name="run", limits=_LIMITS)
+    run = read_run(place, odometry=Odometry(1.0), name="run", limits=_LIMITS)
     place.unlink()
     _finite(cut_travel(run, charge=not run.has_energy))
 

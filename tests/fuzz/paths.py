@@ -14,7 +14,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.commands.path_files import read_areas, read_path
 from joulemap.service.exports.clearance import price_given_path
-from joulemap.service.exports.routes import ROUTE_FORMATS, route_file
+from joulemap.service.exports.routes import ROUTE_FORMATS, RouteFile
 from tests.fuzz.files import Rng
 
 _FRAME = GridFrame(370_000.0, 4_064_020.0, 1.0, 20, 20, "EPSG:32630")
@@ -33,7 +33,7 @@ def costmap() -> jm.CostMap:
 def paths() -> list[bytes]:
     """A route in every format, the JSON of an answer, and areas."""
     route = costmap().plan(*_ENDS)
-    found = [route_file(route.track, kind) for kind in ROUTE_FORMATS.values() if kind.name != "mcap"]
+    found = [RouteFile(kind).written(route.track) for kind in ROUTE_FORMATS.values() if kind.name != "mcap"]
     points = route.points.tolist()
     corners = [[370_002.0, 4_064_002.0], [370_006.0, 4_064_002.0], [370_006.0, 4_064_006.0], [370_002.0, 4_064_002.0]]
     area = {"type": "Polygon", "coordinates": [corners]}

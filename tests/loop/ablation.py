@@ -22,11 +22,12 @@ from joulemap.model.energy.residuals_of_runs import residuals_on
 from joulemap.model.loop import _base_step as base_step
 from joulemap.model.loop import _design as design
 from joulemap.model.loop import _mixed_model as mixed_model
+from joulemap.model.loop import _procedure as procedure
 from joulemap.model.loop import _selection as selection
 from joulemap.model.loop import _variation as variation
 from joulemap.model.loop.calibrate import calibrate
 from joulemap.model.runs.calibration_runs import CalibrationRuns
-from joulemap.model.runs.features import FloatArray
+from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.residuals import Residuals
 from joulemap.service.loop.measured import measure
 from tests.coverage.real import cuadriga, drive, real_folder
@@ -39,26 +40,9 @@ from tests.loop.generators.logs import Log
 from tests.loop.parallel import Row, rows_of
 
 
-def _largest_gain(
-    columns: design.Design,
-    verdicts: Sequence[selection.Verdict],
-    chosen: Sequence[design.Candidate],
-    *,
-    unnamed: bool,
-) -> int | None:
-    able = [
-        k
-        for k, verdict in enumerate(verdicts)
-        if not verdict.why_not
-        and not any(columns.candidates[k] is c for c in chosen)
-        and (unnamed or not isinstance(columns.candidates[k].form, selection.UNNAMED))
-    ]
-    return max(able, key=lambda k: verdicts[k].gain, default=None)
-
-
 def _together() -> AbstractContextManager[Any]:
-    simplest = selection._simplest
-    return patch.object(selection, "_simplest", lambda *given, unnamed: simplest(*given, unnamed=True))
+    best = selection._best
+    return patch.object(selection, "_best", lambda *given, unnamed: best(*given, unnamed=True))
 
 
 def _one_row(columns: design.Design, _around: variation.Variation) -> FloatArray:
@@ -83,9 +67,10 @@ RULES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
     "the standard error of a gain": lambda: patch.object(
         selection, "within_one_error", lambda gains: gains.sum() <= 0.0
     ),
-    "the simplest within one standard error": lambda: patch.object(selection, "_simplest", _largest_gain),
     "forms with a name first": _together,
     "structure without a name": lambda: patch.object(design, "UNNAMED", ()),
+    "forces of effects": lambda: patch.object(Features, "resisted_by", lambda rows, _added: rows),
+    "effects chosen once more": lambda: patch.object(procedure, "_settled", lambda found: found),
     "limits of sign and size": lambda: patch.object(selection, "_physical", lambda *_given: True),
 }
 """How each rule is taken away, by what is taken away."""

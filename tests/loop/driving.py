@@ -29,6 +29,7 @@ from joulemap.model.loop.drive_alarms import Cusum, threshold_of
 from joulemap.model.loop.drive_filter import Ahead, DriveFilter, DrivePrior, limited
 from joulemap.model.loop.drive_prior import (
     cause_columns,
+    change_std,
     columns_of_rows,
     fit_drive_prior,
     prior_of_spread,
@@ -181,11 +182,16 @@ def show_simulated(count: int) -> None:
 def fit(count: int) -> None:
     """Print the factors of `UNFITTED`."""
     drives = [d["none"] for d in simulated(count, FIT_SEED)]
-    start, found = fitted_to(drives, load_predictor("default").spread)
+    spread = load_predictor("default").spread
+    start, found = fitted_to(drives, spread)
     sizes = [(found.causes[0], start.causes[0]), (found.passing, start.passing), (found.passing_m, start.passing_m)]
     causes, passing, length, noise = (new / old for new, old in [*sizes, (found.noise, start.noise)])
     print(f"causes {causes:.2f}, passing {passing:.2f}, passing_m {length:.2f}, noise {noise:.2f}")
-    print(f"width {found.width:.2f}, change_std {found.change_std:.2f}")
+    steps = (
+        DriveFilter(unfitted(prior_of_spread(spread, d.columns, d.std))).learn(d.columns, d.measured, d.std)
+        for d in drives
+    )
+    print(f"width {found.width:.2f}, change_std of drives as they are followed {change_std(steps):.2f}")
 
 
 def fitted_to(drives: Sequence[Driven], spread: Spread) -> tuple[DrivePrior, DrivePrior]:

@@ -19,13 +19,12 @@ from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.predictor import SHIPPED_WEIGHTS, load_predictor
 from joulemap.model.energy.residuals_of_runs import residuals_on
 from joulemap.model.loop.calibrate import calibrate
-from joulemap.model.training.evaluation import evaluate_on_runs
-from joulemap.model.training.measured_runs import train_on_runs
 from joulemap.service.loop.calibration import correction_of
 from tests.coverage.scores import Held, Judged, judged, scores
 from tests.loop.calibrator import segments_of
 from tests.loop.generators.case import Case, make_case
 from tests.loop.generators.config import CaseConfig, DriveConfig, NoiseConfig, RobotConfig
+from tests.reference.one_site import evaluate_on_runs, train_on_runs
 
 NOISES = {
     "plain": NoiseConfig(white_sd=0.08),

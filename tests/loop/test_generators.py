@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 
 from joulemap.model.robot import Robot
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.loop import generators
-from tests.loop.blind import fits_of
-from tests.loop.calibrator import Answer, Stated, segments_of
 from tests.loop.generators.case import make_case
 from tests.loop.generators.config import FLAT, CaseConfig, DriveConfig, LogConfig, NoiseConfig, RobotConfig, SiteConfig
-from tests.loop.generators.hidden import KINDS, PAIRS, drawn_effects
+from tests.loop.generators.hidden import KINDS, drawn_effects
 from tests.loop.generators.noise import factor_along
 from tests.loop.generators.robots import G_MPS2
 from tests.loop.generators.site import Site
-from tests.loop.parallel import rows_of
 
 QUIET = NoiseConfig(run_sd=0.0, white_sd=0.0)
 EXACT = LogConfig(gps_sd_m=(0.0, 0.0), current_sd=0.0, innocent=False)
@@ -148,26 +145,6 @@ def test_a_case_is_made_again_from_its_seed_and_written_as_files(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["base", "dem.tif", "new", "other_site", "robot.toml", "twins"]
 
 
-def test_runs_for_the_test_are_spread_over_the_day():
-    config = CaseConfig(new_runs=6, test_runs=3, base_runs=0, drive=replace(DriveConfig(), length_m=20.0))
-    case = make_case(config, 1, drawn_effects("heater", 1))
-    assert [log.name[4:6] for log in case.test.logs] == ["02", "05", "08"]
-    assert [log.name[4:6] for log in case.new.logs] == ["01", "03", "04", "06", "07", "09"]
-    assert [log.name for log in case.test.twins] == [log.name for log in case.test.logs]
-
-
-def test_logs_become_metres():
-    case = make_case(CaseConfig(new_runs=2, base_runs=0), 1)
-    segments = segments_of(case.new.logs, case.declared)
-    assert 0.75 * 600 < len(segments) < 1.05 * 600
-
-
-def test_the_owner_is_wrong_by_as_much_as_asked():
-    off = make_case(replace(LEVEL, robot=replace(RobotConfig(), declared_off=0.1)), 1)
-    assert abs(off.declared.mass_kg / off.robot.mass_kg - 1.0) == pytest.approx(0.1, abs=1e-4)
-    assert make_case(LEVEL, 1).declared.mass_kg == pytest.approx(off.robot.mass_kg, abs=1e-3)
-
-
 @pytest.mark.parametrize(
     ("kind", "right", "wrong"),
     [
@@ -184,43 +161,3 @@ def test_answers_are_judged_by_the_quantity(kind, right, wrong):
     (effect,) = drawn_effects(kind, 0)
     assert effect.is_named_by(right)
     assert not effect.is_named_by(wrong)
-
-
-def test_kinds_say_their_coefficient_or_why_there_is_none():
-    case = make_case(LEVEL, 0)
-    for name in KINDS:
-        (effect,) = drawn_effects(name, 0)
-        assert bool(effect.coefficients(case.robot)) == bool(effect.unit) == (not effect.why_none), name
-    assert all(set(pair.split("+")) <= set(KINDS) for pair in PAIRS)
-
-
-def test_coefficients_are_compared_in_their_unit_only():
-    case = make_case(LEVEL, 0, drawn_effects("each_radian+wrong_datum", 0))
-    (per_radian,), (east, north) = (effect.coefficients(case.robot) for effect in case.effects)
-    turning = Answer("turning", "turning", (Stated(1.1 * per_radian, per_radian, 2 * per_radian, "J/rad"),))
-    shift = Answer("registration", "", tuple(Stated(-v, -v - 0.1, -v + 0.1, "m") for v in (east, north)))
-    first, *rest = fits_of(case, [turning, shift])
-    assert first["low"] <= first["true"] <= first["high"]
-    assert [fit["value"] for fit in rest] == pytest.approx([east, north])
-    assert all(fit["low"] <= fit["true"] <= fit["high"] for fit in rest)
-    per_metre = Answer("turning", "turning", (Stated(1.0, 0.0, 2.0, "J/m"),))
-    assert [fit["value"] for fit in fits_of(case, [per_metre])] == [None, None, None]
-    backwards = Answer("turning", "turning", (Stated(-per_radian, -2 * per_radian, -0.5 * per_radian, "J/rad"),))
-    assert fits_of(case, [backwards])[0]["value"] == pytest.approx(-per_radian)
-
-
-def test_what_is_done_is_kept_and_what_failed_is_tried_again(tmp_path):
-    calls = []
-
-    def work(key):
-        calls.append(key)
-        if key == "bad" and calls.count("bad") < 2:
-            raise ValueError("no")
-        return {"said": key}
-
-    kept = tmp_path / "rows.jsonl"
-    rows = rows_of(work, ["good", "bad"], kept=kept, say=False)
-    assert [row.get("error") for row in rows] == [None, "ValueError: no"]
-    rows = rows_of(work, ["good", "bad"], kept=kept, say=False)
-    assert [row["key"] for row in rows] == ["good", "bad"]
-    assert calls == ["good", "bad", "bad"]

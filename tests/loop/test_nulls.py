@@ -13,7 +13,7 @@ from joulemap.model.loop._base_step import drives_of
 from tests.loop.blind import try_blind
 from tests.loop.calibrator import segments_of
 from tests.loop.generators.case import make_case
-from tests.loop.nulls import cells, config_of, keys_of, table_of, try_null
+from tests.loop.nulls import config_of, keys_of, try_null
 
 HARDEST = (
     "offset10-nobase-4-both",
@@ -65,16 +65,3 @@ def test_where_the_drives_coast_is_found_in_noise(declared):
         rows, _, _ = residuals_on(PhysicsPredictor(), case.new.site.heightmap, robot, segments_of(case.new.logs, robot))
         found = robot.rolling_resistance + drives_of(rows).coasting_shift
         assert found == pytest.approx(case.robot.rolling_resistance, abs=0.008), number
-
-
-def test_every_cell_of_the_requirement_is_there():
-    assert len(cells()) == 4 * 2 * 3 + 5 * 2 * 2
-    assert set(HARDEST) <= set(cells())
-
-
-def test_the_table_counts_cases_that_name_anything():
-    keys = keys_of(["walk-base-6-flat"], 4, 0, "true")
-    rows = [{"key": key, "s": 1.0, "named": named} for key, named in zip(keys, ([], ["wind"], [], []), strict=True)]
-    rows[3] = {"key": keys[3], "s": 1.0, "error": "ValueError: no"}
-    assert "| walk | yes | 6 | flat | 3 | 1 | 33% (1% to 91%) | wind 1 | 1 | 1.0 |" in table_of(rows)
-    assert "1 of 3 cases (33.3%); 1 cells are above 5 %; 1 cases failed." in table_of(rows)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 HOSTILE = "raise RuntimeError(\"a user's own module was imported instead of joulemap's\")\n"
@@ -26,6 +31,32 @@ route = costmap.plan((2.0, 4.0), (10.0, 4.0))
 print(route)
 assert costmap.feasibility(route, charge=0.6)
 print(jm.__file__)
+"""
+
+
+CORE = """
+import sys
+from importlib import abc
+
+class Missing(abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in BLOCKED:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+BLOCKED = set(sys.argv[2:])
+sys.meta_path.insert(0, Missing())
+import numpy as np
+import joulemap as jm
+from typer.testing import CliRunner
+from joulemap.service.cli import app
+
+hill = jm.heightmap(np.tile(np.linspace(0.0, 3.0, 60), (40, 1)), resolution_m=0.5)
+jm.costmap(hill).save(sys.argv[1] + "/hill.zarr")
+for command in (
+    ["path", sys.argv[1] + "/hill.zarr", "--start", "3,10", "--goal", "27,10"], ["serve"], ["doctor"]
+):
+    done = CliRunner().invoke(app, command)
+    print(done.exit_code, done.stdout, done.stderr)
 """
 
 
@@ -116,6 +147,23 @@ def test_a_users_own_modules_change_nothing(site: Path, hostile: Path, interpret
     assert "costmap" in words
 
 
+def test_the_core_needs_no_extra(tmp_path: Path) -> None:
+    """The shipped network and a path without all that only extras bring, and what a command says that needs one."""
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+    extras = [line for extra in ("server", "train") for line in project["optional-dependencies"][extra]]
+    names = {canonicalize_name(Requirement(line).name) for line in extras}
+    blocked = [
+        module for module, of in packages_distributions().items() if {canonicalize_name(one) for one in of} <= names
+    ]
+    assert {"torch", "dask", "fastapi", "sqlalchemy"} <= set(blocked)
+    command = [sys.executable, "-c", CORE, str(tmp_path), *blocked]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "0 Path for" in done.stdout
+    assert re.search(r"^3 .*pip install 'joulemap\[server\]'", done.stdout, re.M | re.S)
+    assert "0 good    joulemap" in done.stdout
+
+
 def test_no_module_has_a_second_name(hostile: Path) -> None:
     """In a checkout `model` would be importable too: it refuses."""
     for room in ("model", "planner", "service"):
@@ -126,20 +174,20 @@ def test_no_module_has_a_second_name(hostile: Path) -> None:
 
 @pytest.mark.slow
 def test_in_a_clean_environment(built: Path, hostile: Path, tmp_path: Path) -> None:
-    """Installed with its dependencies and nothing else: the demo, the command line and the Python tour."""
+    """Installed with its dependencies alone: the command line and the Python tour; with `server` the demo."""
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     venv = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", str(venv)], check=True)
     (wheel,) = built.glob("*.whl")
     python = venv / "bin" / "python"
-    subprocess.run([str(python), "-m", "pip", "install", "--quiet", str(wheel)], env=environment, check=True)
-    environment |= {"PYTHONPATH": str(hostile), "MPLBACKEND": "agg"}
-    for command in (
-        [str(python), "-c", TOUR],
-        [str(venv / "bin" / "joulemap"), "--help"],
-        [str(venv / "bin" / "joulemap"), "demo", "--exit", "--out", "shown"],
+    hostile_too = {"PYTHONPATH": str(hostile), "MPLBACKEND": "agg"}
+    for extra, command in (
+        ("", [str(python), "-c", TOUR]),
+        ("", [str(venv / "bin" / "joulemap"), "--help"]),
+        ("[server]", [str(venv / "bin" / "joulemap"), "demo", "--exit", "--out", "shown"]),
     ):
-        done = subprocess.run(command, cwd=hostile, env=environment, capture_output=True, text=True)
+        subprocess.run([str(python), "-m", "pip", "install", "-q", f"{wheel}{extra}"], env=environment, check=True)
+        done = subprocess.run(command, cwd=hostile, env=environment | hostile_too, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
     assert (hostile / "shown" / "joulemap-demo.png").is_file()
     shutil.rmtree(venv)  # more than a gigabyte that pytest would keep

@@ -84,8 +84,7 @@ def reproduce(
 ) -> None:
     """Reproduce the **paper's section V** on simulated sites: both networks, every training strategy, all baselines.
 
-    Writes `REPRODUCTION.md`, `results.json` and figures into the folder. Experiments that are in it already are not
-    run again.
+    Writes `TABLES.md` and `results.json` into the folder. Experiments that are in it already are not run again.
 
     Example: `python -m tests.paper reproduce --out reproduction`
     """
@@ -104,7 +103,7 @@ def reproduce(
     document = publish(setting, command=_command(out, extent.name, seeds, backbone, heightmap_from, only))
     missed = [check["wanted"] for check in document["checks"] if not check["holds"]]
     output.say(
-        f"{out / 'REPRODUCTION.md'}: {len(document['checks']) - len(missed)} of "
+        f"{out / 'TABLES.md'}: {len(document['checks']) - len(missed)} of "
         f"{len(document['checks'])} wanted results hold",
         head="Written",
     )
@@ -140,7 +139,7 @@ def baselines(
 
     Example: `python -m tests.paper baselines --heightmap dem.tif --runs logs/*.csv --test-runs logs/run_06.csv`
     """
-    from joulemap.model.terrain.readers import read_heightmap
+    from joulemap.service.library.heightmaps import read_heightmap
     from joulemap.service.models import find_predictor
     from tests.paper.comparison import compare
 

@@ -12,10 +12,10 @@ from joulemap.model.energy.physics import (
     eq5_traction_per_m,
     fit_rolling_resistance,
 )
-from joulemap.model.energy.shape_regression import RidgeBaseline
 from joulemap.model.robot import Robot
 from tests.paper.friction_map import FrictionMap
 from tests.paper.measured import Measured
+from tests.paper.ridge import RidgeBaseline
 
 FloatArray = NDArray[np.float64]
 Prediction = Callable[[Measured], FloatArray]

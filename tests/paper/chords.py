@@ -88,7 +88,7 @@ def chords_of(run: Run, *, charge: bool = False, max_speed_mps: float = math.inf
     driven = _between(np.concatenate([[0.0], np.hypot(np.diff(x), np.diff(y))]))
     standing = (speed < STILL_M / STOP_S) & ~gap
     pointed = headings(run, good, gap, Velocity(vx, vy, noise, smoothing_s), ~standing)
-    turned, turned_abs, gentle = turns_between(t, pointed.smoothed.value, ends)
+    turned, turned_abs = turns_between(pointed.smoothed.value, ends)
     half_square = 0.5 * track_speeds(run, good, np.cumsum(gap), interval, speed) ** 2
     rises = np.where(gap, 0.0, np.maximum(np.diff(half_square, prepend=0.0), 0.0))
     kinetic_p, kinetic_q = _at(half_square)
@@ -105,7 +105,6 @@ def chords_of(run: Run, *, charge: bool = False, max_speed_mps: float = math.inf
         "turn_sd_rad": pointed.turn_sd(ends),
         "t0": pt,
         "turned_abs_rad": turned_abs,
-        "gentle_turn_rad": gentle,
         "gained_m2ps2": _between(rises),
         "kinetic_m2ps2": kinetic_q - kinetic_p,
         "standing_s": _between(np.where(standing, np.diff(t, prepend=t[0]), 0.0)),

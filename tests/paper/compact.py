@@ -69,7 +69,7 @@ def _fitted(measured: Measured, robot: Robot, out: Path, start_from: Path | None
             checkpoint=out / f"{number}.{CHECKPOINT}",
         ).net
         mine = np.isin(segments.run, fold)
-        predictor = predictor_of(Artifact(net, domain), {}, name="")
+        predictor = predictor_of(Artifact(net, domain))
         energy[mine] = predict_segments(predictor, ground, robot, segments.take(mine)).energy_j
         nets.append(net)
     turned = segments.turned_abs_rad - turned_rad

@@ -32,8 +32,6 @@ def baselines(setting: Setting, seed: int) -> Scores:
     field, scores = Field(setting, seed), Scores()
     for row in ROWS:
         test = field.test(row)
-        scores.arrays[f"measured/{row}"] = test.segments.energy_j
-        scores.arrays[f"straight/{row}"] = test.straight.astype(np.float64)
         if row != "V-E shifted":
             scores.add("noise_floor", row, test.explained_j, test)
     for method, fit in _BASELINES:

@@ -21,10 +21,10 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.reader import read_run
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.surface_fit import fit_surface
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.paper.chords import read_chords
 from tests.paper.measured import Measured
 from tests.paper.profiles import Profile

@@ -13,7 +13,6 @@ from time import perf_counter
 from typing import Any
 
 import numba
-import numpy as np
 import torch
 from threadpoolctl import threadpool_limits
 
@@ -133,7 +132,7 @@ def run_all(
 
 
 def result_file(setting: Setting, name: str) -> Path:
-    """Return the file of a task's result. A .npz of the same name holds its predictions."""
+    """Return the file of a task's result."""
     return setting.folder / "results" / f"{name}.json"
 
 
@@ -199,20 +198,16 @@ def _run_task(setting: Setting, task: Task) -> float:
     """Run one task and keep its result; seconds it took."""
     begun = perf_counter()
     found: dict[str, Any]
-    arrays: dict[str, Any] = {}
     if task.kind == "field":
         found = field_of(setting, task.seed)
     elif task.kind == "backbone":
         networks.pretrained_backbone(setting.model("backbone", 0), profile=setting.profile, seed=FIRST_SEED)
         found = {}
     else:
-        scores = EXPERIMENTS[task.kind](setting, task.seed)
-        found, arrays = {"methods": scores.methods}, scores.arrays
+        found = {"methods": EXPERIMENTS[task.kind](setting, task.seed).methods}
     seconds = perf_counter() - begun
     file = result_file(setting, task.name)
     file.parent.mkdir(parents=True, exist_ok=True)
-    if arrays:
-        np.savez_compressed(file.with_suffix(".npz"), **arrays)
     partial = file.with_name(f".{file.name}.partial")
     document = {"kind": task.kind, "seed": task.seed, "seconds": round(seconds, 1), **found}
     partial.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A slice of `python -m tests.fuzz.damages`: a damaged cost map is an error, or answers as before."""
+"""A slice of `python -m tests.fuzz.damages`: a damaged cost map or model is an error, or answers as before."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import pytest
 
 from joulemap.model.errors import DamagedError
 from joulemap.planner.lattice.io import load_lattice
-from tests.fuzz.damages import answers, fuzz, make_map, make_older
+from tests.fuzz.damages import KINDS, answers, make_map, make_older
 
 
-@pytest.mark.parametrize("older", [False, True], ids=["new", "older"])
-def test_no_damage_gives_another_number(tmp_path, older) -> None:
-    found = fuzz(25, 5, tmp_path, older=older)
+@pytest.mark.parametrize("kind", ["map", "older-map", "network", "calibrated"])
+def test_no_damage_gives_another_number(tmp_path, kind) -> None:
+    found = KINDS[kind](25, 5, tmp_path)
     assert found.others == []
     assert found.outcomes["error"] >= 10, found.line()
 
@@ -24,7 +24,7 @@ def older(tmp_path_factory):
     """A map of the version before, never opened since."""
     folder = tmp_path_factory.mktemp("older") / "map.zarr"
     make_map(folder)
-    shutil.rmtree(folder / "coarse-16")
+    shutil.rmtree(folder / "coarse-32")
     make_older(folder)
     return folder
 

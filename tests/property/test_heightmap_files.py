@@ -10,8 +10,8 @@ from hypothesis.extra import numpy as hnp
 from joulemap.model.errors import HeightmapError, TooLargeError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.library.heightmaps import read_heightmap
 
 FRAME = GridFrame(500_000.0, 4_000_000.0, 0.5, 12, 9, "EPSG:32630")
 MAP = Heightmap(np.random.default_rng(0).normal(50.0, 3.0, FRAME.shape), FRAME)

@@ -96,7 +96,7 @@ def test_a_search_that_ended_early_goes_on_from_its_open_cells(seed, share, turn
     run_search(whole, table, cell, guide)
     reached = whole.energy_j[np.isfinite(whole.energy_j)]
     run_search(parts, table, cell, guide, most=float(np.quantile(reached, share)))
-    run_search(parts, table, parts.open_cells(), guide)
+    run_search(parts, table, parts.reached_cells(open_only=True), guide)
     np.testing.assert_allclose(parts.energy_j, whole.energy_j, rtol=1e-9, atol=1e-6)
 
 

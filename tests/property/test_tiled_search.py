@@ -1,24 +1,23 @@
 """The search over tiles of a stored lattice = the search in memory: mazes, gaps of one cell, limits, regeneration."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from joulemap.model.errors import InputError, JoulemapError, NegativeCycleError, NoRouteError
+from joulemap.model.errors import InputError, JoulemapError, NegativeCycleError
+from joulemap.planner.any_angle.region import region_between
 from joulemap.planner.grid.search import grid_search
 from joulemap.planner.lattice.io import save_lattice
 from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.planner.on_disk.coarse import coarse_level
-from joulemap.planner.on_disk.tiled_search import TiledSearch
+from joulemap.planner.on_disk.tiled_table import tiled_table
 from joulemap.planner.pricing.integrator import path_price
 from joulemap.planner.pricing.move_prices import MovePrices
-from joulemap.planner.pricing.moves import move_table
+from joulemap.planner.pricing.moves import distance_table, move_table, with_margin
 from tests.reference.lattices import random_lattice
 
-SHAPE = (37, 45)
+SHAPE = (77, 85)
 
 
 def walled(lattice, rng):
@@ -30,77 +29,57 @@ def walled(lattice, rng):
     return lattice
 
 
-def searched(lattice, folder, start, goal, *, neighbours=16):
-    """The tiled answer, in little blocks and tiles and with as few price slots as there may be."""
-    save_lattice(lattice, folder)
-    stored = StoredLattice(folder)
-    moves = MovePrices(stored.headings, neighbours)
-    level = coarse_level(stored, moves, block_cells=4)
-    return TiledSearch(stored, moves, level, tile_cells=8, memory_bytes=2_000_000).run(start, goal)
-
-
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 10**6),
     neighbours=st.sampled_from([8, 16, 32]),
-    regeneration=st.sampled_from([0.0, 0.0, 0.5]),
-    limit=st.sampled_from([12.0, 30.0]),
-    idle=st.sampled_from([0.0, 12.0]),
+    robot=st.fixed_dictionaries(
+        {
+            "regeneration": st.sampled_from([0.0, 0.0, 0.5]),
+            "max_grade_deg": st.sampled_from([12.0, 30.0]),
+            "idle_power_w": st.sampled_from([0.0, 12.0]),
+        }
+    ),
     walls=st.booleans(),
+    margin=st.sampled_from([0.0, 0.5, 1.2]),
+    shortest=st.booleans(),
 )
-def test_tiles_find_what_the_search_in_memory_finds(
-    tmp_path_factory, seed, neighbours, regeneration, limit, idle, walls
-):
+def test_tiles_find_what_the_search_in_memory_finds(tmp_path_factory, seed, neighbours, robot, walls, margin, shortest):
+    """In tiles of 8 cells and as few of them as there may be: the same path, and the same cells around it."""
     rng = np.random.default_rng(seed)
-    lattice = random_lattice(rng, *SHAPE, regeneration=regeneration, max_grade_deg=limit, idle_power_w=idle)
+    lattice = random_lattice(rng, *SHAPE, **robot)
     if walls:
         walled(lattice, rng)
     start, goal = rng.integers(0, SHAPE), rng.integers(0, SHAPE)
     lattice.blocked[tuple(start)] = lattice.blocked[tuple(goal)] = 0
     start, goal = (np.clip(p + rng.uniform(-0.4, 0.4, 2), 0, np.array(SHAPE) - 1.0) for p in (start, goal))
+    save_lattice(lattice, folder := tmp_path_factory.mktemp("tiles") / "a.zarr")
+    stored, moves = StoredLattice(folder), MovePrices(lattice.headings, neighbours)
+    level = coarse_level(stored, moves, block_cells=4)
     try:
-        expected = grid_search(lattice, move_table(lattice, neighbours=neighbours), start, goal)
+        whole = with_margin(move_table(lattice, neighbours=neighbours), margin)
+        tiled = tiled_table(stored, moves, level, margin=margin, tile_cells=8, memory_bytes=5_000_000)
     except NegativeCycleError:
         return
-    except NoRouteError:
-        expected = None
-    folder = tmp_path_factory.mktemp("tiles") / "a.zarr"
-    try:
-        found = searched(lattice, folder, start, goal, neighbours=neighbours)
-    except NoRouteError:
-        assert expected is None
-        return
     except InputError:
-        if regeneration > 0.0:  # nothing is proven of prices far below zero
-            return
-        raise
-    assert expected is not None
-    assert found.energy_j == pytest.approx(expected.energy_j, rel=1e-6, abs=1e-3)
-    assert found.bound_j <= expected.energy_j + 1e-9
-    assert found.bound_j >= found.energy_j - 1e-3 * abs(found.energy_j) - 1e-2
-    assert path_price(lattice, found.points) == pytest.approx(found.energy_j, rel=1e-6, abs=1e-3)
-
-
-@settings(max_examples=30, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 10**6))
-def test_the_shortest_path_over_tiles_is_that_in_memory(tmp_path_factory, seed):
-    rng = np.random.default_rng(seed)
-    lattice = walled(random_lattice(rng, *SHAPE), rng)
-    start, goal = rng.integers(0, SHAPE).astype(float), rng.integers(0, SHAPE).astype(float)
-    for place in (start, goal):
-        lattice.blocked[tuple(place.astype(int))] = 0
-    metre = replace(lattice.robot, idle_power_w=1.0, speed_mps=1.0)
-    distances = replace(lattice, robot=metre, traction_per_m=np.zeros_like(lattice.traction_per_m))
+        assert robot["regeneration"] > 0.0  # nothing is proven of prices far below zero
+        return
+    assert tiled.typical_j == pytest.approx(whole.typical_j, rel=1e-5)
+    if shortest:
+        whole, tiled = distance_table(whole), distance_table(tiled)
     try:
-        expected = grid_search(distances, move_table(distances), start, goal)
+        expected = region_between(lattice, whole, start, goal)
     except JoulemapError as error:
-        expected = error
-    folder = tmp_path_factory.mktemp("tiles") / "a.zarr"
-    save_lattice(lattice, folder)
-    stored = StoredLattice(folder)
-    search = TiledSearch(stored, MovePrices(stored.headings), None, tile_cells=8)
-    if isinstance(expected, JoulemapError):
-        with pytest.raises(NoRouteError):
-            search.run(start, goal)
-    else:
-        assert search.run(start, goal).energy_j == pytest.approx(expected.energy_j, rel=1e-6, abs=1e-4)
+        with pytest.raises(type(error)):
+            region_between(lattice, tiled, start, goal)
+        return
+    found = region_between(lattice, tiled, start, goal)
+    assert found.grid.energy_j == pytest.approx(expected.grid.energy_j, rel=1e-6, abs=1e-6)
+    assert grid_search(lattice, tiled, start, goal).energy_j == pytest.approx(
+        expected.grid.energy_j, rel=1e-6, abs=1e-6
+    )
+    if not shortest and margin == 0.0:
+        assert path_price(lattice, found.grid.points) == pytest.approx(found.grid.energy_j, rel=1e-6, abs=1e-3)
+    if expected.cells is not None:
+        assert (found.cells == expected.cells).all()
+    assert (found.beside_closed, found.any_closed) == (expected.beside_closed, expected.any_closed)

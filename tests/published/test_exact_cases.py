@@ -12,7 +12,7 @@ from joulemap.planner.grid.search import grid_search
 from joulemap.planner.pricing.integrator import path_price
 from joulemap.planner.pricing.move_prices import move_offsets
 from joulemap.planner.pricing.moves import move_table
-from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.route_planner import RouteOptions, RoutePlanner
 from tests.reference.lattices import plane_lattice, surface_lattice, uniform_lattice
 
 
@@ -49,7 +49,7 @@ def test_uniform_directional_price_costs_the_gauge_of_its_hull(name, neighbours)
         predicted = gauge(price, headings, [d_col, -d_row])
         assert grid == pytest.approx(predicted, rel=1e-6 if neighbours < 32 else 0.01)
         start_xy, goal_xy = (tuple(float(v) for v in lattice.frame.xy(*p)) for p in (start, goal))
-        plan = RoutePlanner(lattice).plan(start_xy, goal_xy, neighbours=neighbours)
+        plan = RoutePlanner(lattice).plan(start_xy, goal_xy, RouteOptions(neighbours=neighbours))
         continuous = gauge(price, np.linspace(0, 2 * np.pi, 14_400, endpoint=False), [d_col, -d_row])
         assert continuous * (1 - 1e-5) <= plan.route.energy_j <= continuous * 1.005
 
@@ -84,7 +84,7 @@ def switchback():
 def test_switchbacks_8_neighbours_find_no_path(switchback):
     planner, _ = switchback
     with pytest.raises(NoRouteError, match="12 deg"):
-        planner.plan((60.5, 30.5), (60.5, 90.5), neighbours=8, refine=False)
+        planner.plan((60.5, 30.5), (60.5, 90.5), RouteOptions(neighbours=8, refine=False))
 
 
 @pytest.mark.parametrize(("neighbours", "dearer"), [(16, 0.148), (32, 0.0256)])
@@ -95,10 +95,10 @@ def test_switchbacks_cost_the_limit_whatever_the_lateral_offset(switchback, neig
     planner, optimum = switchback
     for offset in (0.0, 20.0):
         ends = (60.5, 30.5), (60.5 + offset, 90.5)
-        grid = planner.plan(*ends, neighbours=neighbours, refine=False)
+        grid = planner.plan(*ends, RouteOptions(neighbours=neighbours, refine=False))
         leftover = 1e-3 if offset == 0.0 else 1e-2  # whole moves do not add up to every offset
         assert grid.route.energy_j == pytest.approx(optimum * (1 + dearer), rel=leftover)
-        plan = planner.plan(*ends, neighbours=neighbours)
+        plan = planner.plan(*ends, RouteOptions(neighbours=neighbours))
         assert optimum * (1 - 1e-5) <= plan.route.energy_j <= optimum * 1.005
 
 
@@ -112,7 +112,7 @@ def test_partial_descents_across_a_braking_slope():
     length = np.hypot(40.0, 10.0)
     expected = robot.weight_n * (0.1 * length - 0.3 * 10.0)
     assert outside.route.energy_j == pytest.approx(expected, rel=1e-5)
-    grid = planner.plan((20.5, 60.5), (60.5, 50.5), refine=False)
+    grid = planner.plan((20.5, 60.5), (60.5, 50.5), RouteOptions(refine=False))
     assert grid.route.energy_j > 1.5 * expected  # what 16 neighbours alone would have claimed
 
 

@@ -14,7 +14,7 @@ from rasterio.transform import Affine
 from scipy import ndimage
 
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.library.heightmaps import read_heightmap
 
 ROWS, COLS = 90, 110
 

@@ -9,7 +9,6 @@ from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.robot import Robot
 from joulemap.model.runs.features import Features
 from joulemap.model.runs.residuals import Residuals, residuals_of
-from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 ROBOT = Robot(mass_kg=40.0, idle_power_w=12.0, speed_mps=0.5, rolling_resistance=0.08)
 
@@ -39,7 +38,6 @@ def made_up(rng, *, runs=6, each=120, heading=None) -> Features:
                 "traction_per_m": ROBOT.weight_n * (ROBOT.rolling_resistance + grade),
                 "turned_rad": turned,
                 "turned_abs_rad": np.abs(turned),
-                "gentle_turn_rad": np.stack([np.minimum(np.abs(turned), 2.0 * r) for r in TURN_LIMITS_RADPS], axis=1),
                 "gained_m2ps2": 0.01 * rng.random(each),
                 "kinetic_m2ps2": 0.01 * rng.standard_normal(each),
                 "grade": grade,
@@ -67,7 +65,7 @@ def stops(rng, rows, each=4) -> Features:
     run_ends = np.flatnonzero(np.diff(rows.run, append=-1)) + 1
     where = np.concatenate([rng.integers(a, b, each) for a, b in zip([0, *run_ends[:-1]], run_ends, strict=True)])
     still = rows.take(where)
-    moved = ["length_m", "turned_rad", "turned_abs_rad", "gentle_turn_rad", "gained_m2ps2", "kinetic_m2ps2"]
+    moved = ["length_m", "turned_rad", "turned_abs_rad", "gained_m2ps2", "kinetic_m2ps2"]
     shape = ["grade", "grades", "grade_east", "grade_north", "cross_abs", "cross_sq", "roughness_m"]
     nothing = {name: np.zeros_like(getattr(still, name)) for name in (*moved, *shape)}
     return replace(still, duration_s=rng.uniform(20.0, 170.0, len(still)), **nothing)
@@ -84,7 +82,6 @@ def even(n=1, **changed) -> Features:
         "length_m": np.ones(n),
         "duration_s": np.full(n, 2.0),
         "traction_per_m": np.full(n, ROBOT.rolling_resistance * ROBOT.weight_n),
-        "gentle_turn_rad": np.zeros((n, len(TURN_LIMITS_RADPS))),
         "grades": np.zeros((n, 5)),
         "since_s": 2.0 * np.arange(n),
         "driven_m": np.arange(n) + 1.0,

@@ -6,10 +6,17 @@ Their robots keep to their paths exactly, so that paths keep no margin and have 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from joulemap.model.frames import GridFrame, heading_bins, heading_vector
 from joulemap.model.robot import Robot
 from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.pricing.integrator import path_price, world_points
+
+
+def price_world_path(lattice: CostLattice, xy: ArrayLike) -> float:
+    """The energy of a polyline of world points with its turns [J]; NaN where a leg may not be driven."""
+    return path_price(lattice, world_points(lattice, xy))
 
 
 def plane_lattice(

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+import joulemap as jm
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.http.app import create_app
-from joulemap.service.settings import Settings
 from tests.service.clusters import shared_scheduler
 
 WEST, NORTH = 500_000.0, 4_000_030.0
@@ -65,3 +67,16 @@ def costmap_id(client: TestClient, heightmap_id: str) -> str:
     )
     assert answer.status_code == 201, answer.text
     return answer.json()["id"]
+
+
+@pytest.fixture(scope="module")
+def service(client: TestClient) -> jm.Client:
+    """The package's client, joined to the service without a network."""
+
+    def _answer(request: httpx.Request) -> httpx.Response:
+        answer = client.request(
+            request.method, str(request.url), content=request.content, headers=dict(request.headers)
+        )
+        return httpx.Response(answer.status_code, headers=answer.headers, content=answer.content)
+
+    return jm.Client("http://testserver", transport=httpx.MockTransport(_answer))

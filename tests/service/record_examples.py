@@ -19,7 +19,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
-from joulemap.service.raster_shading import MAX_PIXELS
+from joulemap.service.render.raster_shading import MAX_PIXELS
 from tests.service.conftest import GOAL, START, hill, settings_for
 from tests.service.test_calibrations import ROBOT, hills, run_csv
 
@@ -124,6 +124,12 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("find_path", "POST", f"{here}/paths", body={**task, "alternatives": 1})
     stops = {"stops": [START, GOAL, [START[0] + 10.0, START[1] - 8.0]]}
     ask("find_tour", "POST", f"{here}/tours", body=stops)
+    ask(
+        "find_charging",
+        "POST",
+        f"{here}/charging",
+        body={"start": START, "goal": GOAL, "at": [stops["stops"][2]], "power_w": 100.0},
+    )
     ask("find_matrix", "POST", f"{here}/matrix", body={"starts": [START, stops["stops"][2]], "goals": [GOAL]})
     for kind in ("qgc-plan", "ros-path", "geojson"):
         ask("find_path", "POST", f"{here}/paths", body={**task, "alternatives": 1}, query={"format": kind})
@@ -136,6 +142,8 @@ def record(client: TestClient) -> dict[str, Any]:
     moments = [{"time_s": 2.0 * k, "position": [START[0] + k, START[1]], "power_w": 64.0} for k in range(8)]
     ask("update_drive", "POST", f"/v1/drives/{drive}/updates", body={"samples": moments})
     ask("get_drive", "GET", f"/v1/drives/{drive}")
+    ask("charge_of_drive", "GET", f"/v1/drives/{drive}/charge")
+    ask("better_route_of_drive", "GET", f"/v1/drives/{drive}/better-route")
     ask("list_drives", "GET", "/v1/drives", query={"limit": 1, "offset": 0})
     for name in ("watch_drive", "delete_drive"):
         found[name] = {"parameters": {"drive_id": drive}, "answers": {}}
@@ -143,7 +151,9 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("find_reach", "POST", f"{here}/reach", body=reached, query={"format": "geojson"})
     ask("find_reach", "POST", f"{here}/reach", body=reached)
     learned = client.post("/v1/costmaps", json={**asked, "model": "default"}, headers={"Prefer": "wait=300"}).json()
-    ask("find_speeds", "POST", f"/v1/costmaps/{learned['id']}/speeds", body={"start": START, "goal": GOAL})
+    for query in (*({"format": kind} for kind in ("qgc-plan", "ros-path", "geojson")), None):
+        place, ends = f"/v1/costmaps/{learned['id']}/speeds", {"start": START, "goal": GOAL}
+        ask("find_speeds", "POST", place, body=ends, query=query)
     large = client.post("/v1/costmaps", json={**asked, "spacing_m": 0.1, "headings": 360}).json()["id"]
     ask("cancel_costmap", "POST", f"/v1/costmaps/{large}/cancel")
     for name in ("follow_costmap", "delete_costmap"):

@@ -6,7 +6,6 @@ import datetime as dt
 import io
 import logging
 import re
-import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import redirect_stdout
@@ -20,8 +19,7 @@ from joulemap.model.errors import RateError
 from joulemap.model.robot import Robot
 from joulemap.service.cli import app
 from joulemap.service.http import access_keys
-from joulemap.service.http.access_keys import warn_if_open
-from joulemap.service.http.access_rate import BURST_S, Buckets
+from joulemap.service.http.access_keys import BURST_S, Buckets, warn_if_open
 from joulemap.service.http.app import create_app
 from joulemap.service.storage.keys import add_key, all_keys, revoke_keys
 from joulemap.service.storage.owners import Caller
@@ -337,6 +335,7 @@ BODIES = {
     "/feasibility": {"start": START, "goal": GOAL},
     "/reach": {"start": START},
     "/return": {"position": START, "home": GOAL},
+    "/charging": {"start": START, "goal": GOAL, "at": [GOAL], "power_w": 100.0},
     "/speeds": {"start": START, "goal": GOAL},
     "/drives": {"path": [START, GOAL]},
     "/updates": {"samples": [{"time_s": 0.0, "position": START, "power_w": 10.0}]},
@@ -421,25 +420,6 @@ def test_what_nobody_owns_can_be_adopted(tmp_path: Path, hill_tif: bytes) -> Non
         time.sleep(access_keys.KNOWN_S)
         statuses = [client.get(f"/v1/heightmaps/{heightmap}", headers=bearer(key)).status_code for key in keys.values()]
         assert statuses == [404, 200]
-
-
-def test_a_database_of_an_older_version_gets_the_columns(tmp_path: Path, hill_tif: bytes) -> None:
-    with TestClient(create_app(settings_for(tmp_path))) as client:
-        heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
-    with sqlite3.connect(tmp_path / "joulemap.db") as old:
-        for table in ("heightmaps", "costmaps", "runs", "calibrations"):
-            old.execute(f"drop index ix_{table}_owner")
-            for column in ("owner", "bytes", "used_at"):
-                old.execute(f"alter table {table} drop column {column}")
-        old.execute("drop table keys")
-    for _ in range(2):
-        with TestClient(create_app(settings_for(tmp_path))) as client:
-            assert client.get(f"/v1/heightmaps/{heightmap}").status_code == 200
-            assert client.post("/v1/heightmaps", content=hill_tif).status_code == 201
-            add_key(sessions_of(client), "anna")
-        with sqlite3.connect(tmp_path / "joulemap.db") as new:
-            assert new.execute("select count(*) from sqlite_master where name = 'ix_costmaps_owner'").fetchone() == (1,)
-            new.execute("delete from keys")
 
 
 # limits of one key
@@ -544,6 +524,6 @@ def test_what_is_kept_is_measured(shared: tuple[TestClient, dict[str, str], dict
         assert session.get(KeyRow, "jm_00000000") is None
     folder = store.lattice_path(ids["costmap_id"])
     assert costmap.bytes == sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) > 1000
-    assert heightmap.bytes == store.heightmap_path(ids["heightmap_id"]).stat().st_size
+    assert heightmap.bytes == store.path(HeightmapRow, ids["heightmap_id"]).stat().st_size
     assert not Caller(name=None, sees_all=False).may_see(heightmap)
     assert not Caller(name=None, sees_all=False).may_see(HeightmapRow(owner=None))

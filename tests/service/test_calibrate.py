@@ -10,16 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 import joulemap
-from joulemap.model.energy.residuals_of_runs import keep_base_runs
 from joulemap.model.errors import InputError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import read_segments
-from joulemap.model.runs.record import read_record
 from joulemap.model.runs.words import number_words
-from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.cli import app
 from joulemap.service.library.costmaps import open_costmap
-from joulemap.service.loop.effect_words import coefficient_words
+from joulemap.service.library.heightmaps import read_heightmap
 from joulemap.service.models import load_model, planning_robot
 from tests.reference.drives import unlike_logs, wheel_logs
 from tests.reference.words import PRIVATE, shown
@@ -185,17 +181,6 @@ def test_a_missing_input_is_not_there(field, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_too_few_runs_are_not_kept_beside_a_model(field, tmp_path):
-    robot, ground = Robot.from_toml(field / "robot.toml"), read_heightmap(field / "dem.tif")
-    _, segments = read_segments([field / "run_01.csv"], robot, crs=ground.frame.crs)
-    few = segments.take(np.arange(10))
-    assert not keep_base_runs(tmp_path, ground, robot, few, np.full(10, 40.0), np.full(10, 60.0))
-    assert list(tmp_path.iterdir()) == []
-    said = np.full(len(segments), 40.0)
-    assert keep_base_runs(tmp_path, ground, robot, segments, said, said)
-    assert read_record(tmp_path) is not None
-
-
 def written(path, lines):
     path.write_text("\n".join(",".join(map(str, row)) for row in lines) + "\n")
 
@@ -333,7 +318,7 @@ def test_a_model_that_is_not_confirmed_is_not_proposed(tmp_path):
     assert report["confirmed_in_plans"] is False
     assert report["route"] == {"why_not": "the calibrated model is not confirmed for plans"}
     for said in (done.output, (out / "report.html").read_text()):
-        assert "Not confirmed for plans: keep the model that you have" in shown(said)
+        assert "Not confirmed: keep the model that you have" in shown(said)
         assert "joulemap costmap" not in said
         assert "joulemap path" not in said
 
@@ -391,21 +376,6 @@ def test_wheel_speeds_stand_in_for_positions(wheels, tmp_path):
     assert "wherever there is room" in done.output
     drive = json.loads((tmp_path / "drive.json").read_text())
     assert len(drive["speeds_mps"]) * int(drive["length_m"]) <= 1.25 * 60.0  # a round at each speed, in whole metres
-
-
-def test_of_many_coefficients_the_least_and_the_greatest_are_told():
-    def effect(*values, form="terrain_class"):
-        told = [{"name": f"class {v}", "value": v, "unit": "J", "ci95": [v - 1, v + 1]} for v in values]
-        return {"name": "terrain_class", "label": "terrain class", "form": form, "coefficients": told}
-
-    words = ["class 3: 3 J (95 % interval 2 to 4)", "class 5: 5 J (95 % interval 4 to 6)"]
-    assert coefficient_words(effect(3, 5)) == words
-    assert coefficient_words(effect(3, 9, 5, -2, 4)) == [
-        "5 values, the smallest and the largest",
-        "class -2: -2 J (95 % interval -3 to -1)",
-        "class 9: 9 J (95 % interval 8 to 10)",
-    ]
-    assert coefficient_words(effect(1, 2, form="local_friction")) == ["2 values"]
 
 
 def test_whole_campaigns_are_left_out_when_asked(field, tmp_path, monkeypatch):

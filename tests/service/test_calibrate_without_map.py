@@ -133,3 +133,10 @@ def test_python_and_http_find_the_same(drives, found, service, tmp_path):
     assert [effect["name"] for effect in answer["effects"]] == [effect["name"] for effect in report["effects"]]
     wrong = service.post("/v1/calibrations", json=asked | {"heightmap_id": "hm-none"})
     check_problem(wrong, 404, "not_found", "hm-none")
+
+
+def test_a_refusal_of_a_log_says_which_columns_were_recognised(service):
+    rows = "".join(f"{0.5 * k},{k},{24 + k % 3},{3 + k % 4}\n" for k in range(40))
+    wrong = service.post("/v1/runs", files=[("file", ("a.csv", "zeit,q2,U_batt,I_batt\n" + rows))])
+    assert wrong.status_code == 422
+    assert wrong.json()["context"]["reading"] == {"voltage": "U_batt [V]", "current": "I_batt [A]"}

@@ -20,13 +20,13 @@ from typer.testing import CliRunner
 from joulemap.model.errors import JoulemapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice.build import MAX_LATTICE_VALUES
 from joulemap.service.cli import app
-from joulemap.service.commands.arguments import RENAMED, one_value_each, with_option_names
+from joulemap.service.commands.arguments import RENAMED, one_value_each
 from joulemap.service.commands.console import Output
 from joulemap.service.commands.maps import MOST_VALUES
+from joulemap.service.library.heightmaps import read_heightmap
 
 READING = {"--resolution", "--west", "--north", "--crs", "--scale", "--offset", "--nodata", "--band"}
 GROUP = get_command(app)
@@ -97,15 +97,6 @@ def test_a_message_names_the_option_of_the_command(command: str, field: Path, tm
     assert "resolution_m" not in errors
 
 
-def test_names_of_the_library_become_options_of_the_command() -> None:
-    costmap = COMMANDS["costmap"].params
-    assert with_option_names("give `resolution_m`, or `nodata`", costmap) == "give --resolution, or --nodata"
-    assert with_option_names("a smaller `spacing_m` of `heightmap`", costmap) == "a smaller --spacing of HEIGHTMAP"
-    assert with_option_names("`mass_kg` is no option", costmap) == "`mass_kg` is no option"
-    assert with_option_names("`joulemap costmap`", costmap) == "`joulemap costmap`"
-    assert with_option_names("`time_limit_s`", COMMANDS["path"].params) == "--time-limit"
-
-
 @pytest.mark.parametrize(
     ("typed", "read"),
     [
@@ -122,14 +113,6 @@ def test_names_of_the_library_become_options_of_the_command() -> None:
 def test_an_option_takes_every_value_up_to_the_next(typed: str, read: str) -> None:
     singles = {"--out", "--json"}
     assert one_value_each(typed.split(), lists={"--runs", "--stop"}, singles=singles) == read.split()
-
-
-def test_runs_as_the_shell_expands_them(field: Path) -> None:
-    files = sorted(field.glob("run_*.csv"))
-    asked = ("evaluate", "--heightmap", field / "dem.tif", "--robot", field / "robot.toml", "--json", "-")
-    code, words, errors = joulemap(*asked, "--runs", *files, "--model", "physics")
-    assert code == 0, errors
-    assert set(json.loads(words)["route_relative_errors"]) == {file.name for file in files}
 
 
 def test_stops_after_one_option_and_a_map_after_them(costmap: Path) -> None:
@@ -186,6 +169,28 @@ def test_an_option_that_would_change_nothing_or_cannot_be_met_is_refused(
     assert found == code
 
 
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (
+            ["feasibility", "MAP", "--path", "FILE", "--objective", "arrival"],
+            "--objective and --max-power choose a path",
+        ),
+        (["feasibility", "MAP", "--path", "FILE", "--max-power", "300"], "--objective and --max-power choose a path"),
+        (["feasibility", "MAP", "--start", "3.5,4.5"], "give either --path, or --start and --goal"),
+        (["calibrate", "--runs", "FILE", "--site", "a.tif=a.csv", "--out", "made"], "give one of --runs"),
+        (["demo", "--start", "3.5,4.5"], "give both --start and --goal"),
+    ],
+)
+def test_options_that_do_not_go_together_are_wrong_usage(
+    more: list[str], words: str, costmap: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "path.csv"
+    path.write_text("x,y\n3.5,4.5\n30.5,20.5\n")
+    code, _, errors = joulemap(*({"MAP": costmap, "FILE": path}.get(word, word) for word in more))
+    assert (code, words in " ".join(errors.replace("│", " ").split())) == (2, True), errors
+
+
 def test_evaluate_says_what_it_took_for_energy_and_which_runs_are_not_on_the_map(field: Path, tmp_path: Path) -> None:
     for name, shift in (("near.csv", 0.0), ("far.csv", 9000.0)):
         header, *rows = csv.reader(next(field.glob("**/*.csv")).read_text().splitlines())
@@ -235,7 +240,10 @@ def test_a_cost_map_too_large_is_refused_at_once(costmap: Path, tmp_path: Path) 
     assert joulemap(*asked, "0.5", "--max-values", str(60 * 80 * 16))[0] == 0
 
 
-def test_ctrl_c_leaves_nothing_behind(costmap: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+)
+def test_a_command_that_is_stopped_leaves_nothing_behind(costmap: Path, tmp_path: Path, number: int, code: int) -> None:
     """The size is said before the work begins; then the command is stopped in the middle of it."""
     command = [sys.executable, "-m", "joulemap.service.cli", "costmap", str(costmap.with_name("dem.tif"))]
     command += ["--model", "physics", "--spacing", "0.02", "--out", str(tmp_path / "fine.zarr")]
@@ -249,11 +257,12 @@ def test_ctrl_c_leaves_nothing_behind(costmap: Path, tmp_path: Path) -> None:
     deadline = time.monotonic() + 120.0
     while not list(tmp_path.iterdir()) and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     said, errors = process.communicate(timeout=60)
-    assert process.returncode == 130, errors
+    assert process.returncode == code, errors
     assert "1,500 x 2,000 cells of 0.02 m with 16 headings: 48,000,000 values, up to 0.4 GB on disk" in said
-    assert errors.splitlines()[-1] == "stopped: nothing is left behind"
+    if number == signal.SIGINT:
+        assert errors.splitlines()[-1] == "stopped: nothing is left behind"
     assert "Traceback" not in errors
     assert list(tmp_path.iterdir()) == []
 
@@ -309,7 +318,8 @@ def test_snap_takes_the_nearest_free_place(tmp_path: Path) -> None:
     out = tmp_path / "dem.zarr"
     assert joulemap("costmap", tmp_path / "dem.tif", "--model", "physics", "--out", out)[0] == 0
     ends = ("--start", "13.5,11.4", "--goal", "25.5,3.5")  # the start is in the hole
-    tasks = {"path": ends, "feasibility": ends, "tour": ("--stop", "13.5,11.4", "25.5,3.5", "3.5,3.5")}
+    near = ("--start", "13.5,12.4", *ends[2:])  # one cell from where the robot fits
+    tasks = {"path": ends, "feasibility": near, "tour": ("--stop", "13.5,11.4", "25.5,3.5", "3.5,3.5")}
     for command, task in tasks.items():
         if command == "tour":
             pytest.importorskip("ortools")
@@ -324,6 +334,9 @@ def test_snap_takes_the_nearest_free_place(tmp_path: Path) -> None:
         x, y, _ = (found["out"] if command == "feasibility" else found)["path"][0]
         assert 12.0 <= y < 14.0
         assert abs(x - 13.5) <= 1.0
+    code, _, errors = joulemap("feasibility", out, *ends, "--snap")  # a verdict is about the place that was asked for
+    assert code == 4
+    assert errors.endswith("--snap may move it by 1.41 m at most")
 
 
 def test_a_number_that_is_not_finite_is_named_and_never_written(tmp_path: Path) -> None:

@@ -10,16 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import joulemap as jm
 from joulemap.model import errors
 from joulemap.model.errors import InputError
+from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice.io import load_lattice
 from joulemap.service.cli import app
 from joulemap.service.client import service as client_of_a_service
-from joulemap.service.client.answers import error_of, tree_of
-from joulemap.service.client.connection import Connection
+from joulemap.service.client.connection import Connection, error_of, tree_of
 from joulemap.service.client.costmap import ServedCostMap
 from joulemap.service.commands.remote import unpack
 from joulemap.service.http.app import create_app
@@ -363,7 +365,7 @@ def test_commands_fail_as_without_a_service(
     assert command("path", costmap.id, *ends, "--server", url, "--key", keys["bert"], monkeypatch=monkeypatch) == 5
     assert command("path", costmap.id, *ends, "--server", url, "--key", "x", monkeypatch=monkeypatch) == 9
     assert command("path", costmap.id, *ends, "--server", "http://127.0.0.1:9", **how) == 8
-    assert command("path", costmap.id, *ends, **how) == 3  # no folder is called so
+    assert command("path", costmap.id, *ends, **how) == 5  # no folder is called so
     assert command("path", costmap.id, *ends, "--server", url, "--picture", "x.png", **how) == 2
     assert command("costmap", "dem.tif", **how) in (2, 5)
 
@@ -396,3 +398,35 @@ def test_a_folder_of_something_else_is_never_replaced(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="will not be overwritten"):
         unpack(zipped(**{"m/zarr.json": b"{}"}), tmp_path / "thesis")
     assert [path.name for path in tmp_path.rglob("*")] == ["thesis", "text"]
+
+
+def test_files_of_layers_are_sent(running: tuple[str, dict[str, str]], client: jm.Client, tmp_path: Path) -> None:
+    """Mud as a raster and a deck as polygons, from Python and from the command line: the same cost map."""
+    ground, legend = hill(), tmp_path / "land.toml"
+    west, south, _, north = ground.frame.bounds
+    land = jm.heightmap(np.full(ground.frame.shape, 2.0), resolution_m=ground.resolution_m, west_m=west, north_m=north)
+    write_geotiff(tmp_path / "dem.tif", ground)
+    write_geotiff(tmp_path / "land.tif", land)
+    legend.write_text("[mud]\nvalue = 2\nrolling_resistance = 0.3\n")
+    ring = [[west + 2, south + 2], [west + 6, south + 2], [west + 6, south + 6], [west + 2, south + 6]]
+    deck = {"type": "Feature", "properties": {"height": 3.5}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+    (tmp_path / "deck.geojson").write_text(json.dumps(deck))
+    layers = {"kinds": tmp_path / "land.tif", "height": tmp_path / "deck.geojson"}
+    made = client.costmap(tmp_path / "dem.tif", model="physics", layers=layers, legend=legend)
+    there = unpack_to(made.data("zarr"), tmp_path / "there.zarr")
+    assert there.elevation_m[there.frame.rows - 5, 4] == pytest.approx(3.5)
+    assert [layer["role"] for layer in there.provenance["layers"]] == ["kinds", "height"]
+    url, keys = running
+    mine = client.heightmap(tmp_path / "land.tif", layer=True)
+    with jm.Client(url, key=keys["bert"]) as other, pytest.raises(errors.NotFoundError):
+        other.costmap(tmp_path / "dem.tif", model="physics", layers={"factor": mine})
+    words = ["costmap", str(tmp_path / "dem.tif"), "--model", "physics", "--legend", str(legend), "--server", url]
+    words += [word for role, file in layers.items() for word in ("--layer", f"{role}={file}")]
+    done = CliRunner().invoke(app, [*words, "--key", keys["anna"], "--out", str(tmp_path / "here.zarr")])
+    assert done.exit_code == 0, done.output
+    assert np.array_equal(load_lattice(tmp_path / "here.zarr").traction_per_m, there.traction_per_m, equal_nan=True)
+
+
+def unpack_to(zipped: bytes, folder: Path) -> Any:
+    unpack(zipped, folder)
+    return load_lattice(folder)

@@ -98,7 +98,7 @@ def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> Non
         asked = {"heightmap_id": heightmap, "model": "physics"}
         made = httpx.post(f"{url}/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}, timeout=70)
         runs = httpx.post(f"{url}/v1/runs", content=run_csv(0, metres=30.0), timeout=200).json()["id"]
-        calibration = httpx.post(f"{url}/v1/calibrations", json={**asked, "runs": [runs]}).json()["id"]
+        calibration = httpx.post(f"{url}/v1/calibrations", json={**asked, "runs": [runs]}, timeout=60).json()["id"]
         known = {"costmap_id": made.json()["id"], "heightmap_id": heightmap, "runs_id": runs}
         known["calibration_id"] = calibration
         for found in schemathesis.openapi.from_url(f"{url}/openapi.json").get_all_operations():

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from joulemap.service.cli import app
 from joulemap.service.http.app import create_app
-from joulemap.service.storage.sums import sums_of
+from joulemap.service.storage.files import sums_of
 from tests.fuzz.damages import make_older
 from tests.service.conftest import GOAL, START, settings_for
 

@@ -16,8 +16,8 @@ from joulemap.planner.lattice import tiles as tiling
 from joulemap.planner.lattice.io import LatticeFolder
 from joulemap.service.jobs.costmaps import order_of
 from joulemap.service.jobs.engine import Jobs
-from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.store import Store
+from joulemap.service.storage.vault import ObjectVault
 from joulemap.service.work import tiles, vaulted
 from tests.service.conftest import hill, settings_for
 from tests.service.workers import asked, made_here
@@ -71,32 +71,50 @@ def before_and_after(
         monkeypatch.setattr(owner, name, watched(getattr(owner, name)))
 
 
-def test_nothing_is_left_whenever_it_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def at_each_moment(
+    store: Store,
+    monkeypatch: pytest.MonkeyPatch,
+    make: Callable[[str], object],
+    *,
+    steps: Sequence[tuple[Any, str]] = STEPS,
+    vanished: tuple[type[Exception], ...] = (Exception,),
+) -> Iterator[tuple[str, bool]]:
+    """Make cost maps, and delete each a step later than the one before, until one is done: id, and whether deleted.
+
+    vanished : what may be raised then; by default that of zarr, too.
+    """
     monkeypatch.setattr(tiling, "TILE_CELLS", 32)
-    moments = itertools.count()
+    heightmap = store.add_heightmap(hill(), name="hill", stats={}).id
+    wanted, deleted, moment = "", True, -1
+
+    def seen() -> None:
+        nonlocal moment, deleted
+        if moment == 0:
+            store.delete_costmap(wanted)
+            deleted = True
+        moment -= 1
+
+    before_and_after(monkeypatch, seen, steps)
+    for nth in itertools.count():
+        wanted, deleted, moment = asked(store, heightmap), False, -1
+        moment = nth
+        try:
+            make(wanted)
+        except vanished:
+            if not deleted:
+                raise
+        moment = -1
+        yield wanted, deleted
+        if not deleted:
+            assert nth > 20
+            return
+
+
+def test_nothing_is_left_whenever_it_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with opened(tmp_path) as store:
-        heightmap = store.add_heightmap(hill(), name="hill", stats={}).id
-        wanted, deleted = "", True
-
-        def seen() -> None:
-            nonlocal moment, deleted
-            if moment == 0:
-                store.delete_costmap(wanted)
-                deleted = True
-            moment -= 1
-
-        before_and_after(monkeypatch, seen)
-        while deleted:
-            wanted, deleted, moment = asked(store, heightmap), False, -1
-            nth = moment = next(moments)
-            try:
-                made_here(store, wanted, tmp_path)
-            except Exception:  # of zarr, too: what it writes vanishes
-                if not deleted:
-                    raise
+        for wanted, deleted in at_each_moment(store, monkeypatch, lambda one: made_here(store, one, tmp_path)):
             left = [path.name for path in (tmp_path / "costmaps").iterdir()]
-            assert left == ([] if deleted else [f"{wanted}.zarr"]), f"at moment {nth}"
-    assert nth > 20
+            assert left == ([] if deleted else [f"{wanted}.zarr"])
 
 
 VAULT_STEPS = [
@@ -120,35 +138,12 @@ def test_nothing_is_left_in_an_object_store_whenever_it_is_deleted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("obstore")
-    monkeypatch.setattr(tiling, "TILE_CELLS", 32)
-    moments = itertools.count()
     with opened(tmp_path, objects=f"file://{tmp_path}/objects") as store:
-        heightmap = store.add_heightmap(hill(), name="hill", stats={}).id
-        wanted, deleted = "", True
-
-        def seen() -> None:
-            nonlocal moment, deleted
-            if moment == 0:
-                store.delete_costmap(wanted)
-                deleted = True
-            moment -= 1
-
-        before_and_after(monkeypatch, seen, VAULT_STEPS)
-        while deleted:
-            wanted, deleted, moment = asked(store, heightmap), False, -1
-            nth = moment = next(moments)
-            try:
-                made_there(store, wanted, tmp_path)
-            except (OSError, NotFoundError, RuntimeError):
-                if not deleted:
-                    raise
-            moment = -1
+        how: Any = {"steps": VAULT_STEPS, "vanished": (OSError, NotFoundError, RuntimeError)}
+        for wanted, deleted in at_each_moment(store, monkeypatch, lambda one: made_there(store, one, tmp_path), **how):
             left = [name for name in store.vault.names("") if "costmaps/" in name]  # type: ignore[union-attr]
-            if deleted:
-                assert left == [], f"at moment {nth}"
-    assert nth > 20
-    assert f"records/costmaps/{wanted}.zarr.json" in left
-    assert not [name for name in left if ".tiles" in name]
+            assert deleted != (f"records/costmaps/{wanted}.zarr.json" in left)
+            assert not [name for name in left if deleted or ".tiles" in name]
 
 
 def test_who_sends_on_after_a_cost_map_is_done_changes_nothing(tmp_path: Path) -> None:

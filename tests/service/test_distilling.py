@@ -12,8 +12,8 @@ from joulemap.model.energy.physics import PhysicsPredictor, eq5_traction_per_m
 from joulemap.model.errors import InputError, ModelError
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.model.training.distillation import TAUGHT, ask_teacher, difference, distil_on_runs
-from joulemap.model.training.measured_runs import train_on_runs
 from joulemap.service.cli import app
+from tests.reference.one_site import train_on_runs
 from tests.service.test_learning import ROBOT, SHIPPED, drive, waves
 
 

@@ -18,7 +18,6 @@ from pydantic import TypeAdapter, ValidationError
 from joulemap.service.http.app import create_app, openapi_document
 from joulemap.service.http.document_rules import TOGETHER
 from joulemap.service.http.documents import recorded_examples
-from joulemap.service.questions.calibrating import CalibrationRequest
 from joulemap.service.questions.feasibility import FeasibilityRequest
 from joulemap.service.storage.keys import add_key
 from tests.service.conftest import GOAL, START, settings_for
@@ -135,14 +134,6 @@ def test_what_the_schema_says_of_a_task_is_what_the_service_does(body: dict[str,
     schema = {"$ref": "#/components/schemas/FeasibilityRequest"}
     by_schema, by_service = outcomes(schema, FeasibilityRequest, body)
     assert by_schema == by_service, body
-
-
-@settings(max_examples=200, deadline=None, derandomize=True)
-@given(ends=st.dictionaries(st.sampled_from(["start", "goal"]), POINTS))
-def test_what_the_schema_says_of_a_calibration_is_what_the_service_does(ends: dict[str, Any]) -> None:
-    schema = {"$ref": "#/components/schemas/CalibrationRequest"}
-    by_schema, by_service = outcomes(schema, CalibrationRequest, {"runs": ["runs-1"], **ends})
-    assert by_schema == by_service, ends
 
 
 def test_parameters_that_go_together(client: TestClient, costmap_id: str) -> None:

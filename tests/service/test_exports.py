@@ -22,19 +22,20 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 import joulemap as jm
-from joulemap.model.errors import InputError, TooLargeError
+from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked
-from joulemap.planner.pricing.integrator import leg_prices, price_world_path, world_points
+from joulemap.planner.pricing.integrator import leg_prices, world_points
 from joulemap.planner.words import energy_words
 from joulemap.service.commands.path_files import read_path
 from joulemap.service.exports.clearance import READ_FURTHEST_M, price_given_path
+from joulemap.service.exports.mission import corners_to_keep
+from joulemap.service.exports.nav2_graph import MOST_NODES
 from joulemap.service.exports.nav2_graph import write as write_graph
-from joulemap.service.exports.routes import ROUTE_FORMATS, route_file, route_format_of
-from joulemap.service.exports.simplify import corners_to_keep
+from joulemap.service.exports.routes import ROUTE_FORMATS, RouteFile
 from joulemap.service.exports.track import track_of_drive
-from joulemap.service.http.route_files import FileFormat
+from tests.reference.lattices import price_world_path
 
 CM = 0.01
 START, GOAL, STOP = (6.0, 8.0), (92.0, 70.0), (20.0, 66.0)
@@ -84,7 +85,7 @@ def tour(costmap: jm.CostMap) -> jm.PlannedTour:
 
 
 def written(track: Any, name: str, **how: Any) -> bytes:
-    return route_file(track, ROUTE_FORMATS[name], **how)
+    return RouteFile(ROUTE_FORMATS[name], **how).written(track)
 
 
 def from_gpx(content: bytes) -> list[NDArray[np.float64]]:
@@ -370,17 +371,6 @@ def test_geojson_in_the_map_s_own_coordinates_names_them(route: jm.PlannedRoute)
         written(route.track, "geojson", coordinates="utm")
 
 
-def test_a_name_says_the_format() -> None:
-    assert route_format_of("a/B.GPX").name == "gpx"
-    assert route_format_of("x.path.json").name == "ros-path"
-    assert route_format_of("x.txt", "kml").name == "kml"
-    with pytest.raises(InputError, match=r"end with one of \.geojson"):
-        route_format_of("route.docx")
-    with pytest.raises(InputError, match="did you mean gpx"):
-        route_format_of("x", "gpxx")
-    assert set(FileFormat.__origin__.__args__[0].__args__) == {"json", *ROUTE_FORMATS}
-
-
 def test_a_suggested_drive_is_a_mission_too(tmp_path: Path) -> None:
     drive = {
         "effect": "turning",
@@ -399,7 +389,7 @@ def test_a_suggested_drive_is_a_mission_too(tmp_path: Path) -> None:
         track_of_drive({"why_not": "no effect was found"})
     back = Transformer.from_crs("EPSG:4326", WESTERN[0], always_xy=True)
     for chosen in ROUTE_FORMATS.values():
-        assert route_file(track, chosen)
+        assert RouteFile(chosen).written(track)
     items = json.loads(written(track, "qgc-plan"))["mission"]["items"]
     assert items[0]["params"][1] == 0.4
     degrees = np.array([item["params"][4:6] for item in items[1:]])
@@ -453,11 +443,11 @@ def test_nav2_reads_the_map_where_it_lies(costmap: jm.CostMap, tmp_path: Path) -
 
 def test_a_route_graph_has_the_prices_of_its_edges(costmap: jm.CostMap) -> None:
     lattice = costmap.lattice
-    features = json.loads(write_graph(lattice, spacing_m=5.0)[".geojson"])["features"]
+    features = json.loads(write_graph(lattice)[".geojson"])["features"]
     nodes = {f["properties"]["id"]: f["geometry"]["coordinates"] for f in features if f["geometry"]["type"] == "Point"}
     edges = [f for f in features if f["geometry"]["type"] == "MultiLineString"]
     assert len({f["properties"]["id"] for f in features}) == len(features)
-    assert len(nodes) <= 16 * 20
+    assert len(nodes) <= MOST_NODES
     assert edges
     for edge in edges[:: len(edges) // 50]:
         ends = [nodes[edge["properties"][key]] for key in ("startid", "endid")]
@@ -466,18 +456,3 @@ def test_a_route_graph_has_the_prices_of_its_edges(costmap: jm.CostMap) -> None:
         assert edge["properties"]["cost"] == pytest.approx(max(energy, 0.0), abs=1e-6)
     pairs = {(e["properties"]["startid"], e["properties"]["endid"]) for e in edges}
     assert sum((b, a) in pairs for a, b in pairs) > 0.9 * len(pairs)
-    with pytest.raises(TooLargeError, match="choose a"):
-        write_graph(replace_shape(lattice), spacing_m=1.0)
-    with pytest.raises(InputError, match="metres above 0"):
-        write_graph(lattice, spacing_m=-1.0)
-
-
-def replace_shape(lattice: Any) -> Any:
-    """The same prices over and over, on a map of 320 x 400 cells."""
-    return replace(
-        lattice,
-        frame=replace(lattice.frame, rows=320, cols=400),
-        **{name: np.tile(getattr(lattice, name), (4, 4, 1)) for name in ("traction_per_m", "gradient")},
-        **{name: np.tile(getattr(lattice, name), (4, 4)) for name in ("elevation_m", "blocked")},
-        std_j=None,
-    )

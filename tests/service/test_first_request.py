@@ -43,6 +43,11 @@ with TestClient(create_app(settings)) as client:
         task = {"start": START, "goal": GOAL, "round_trip": True}
         assert client.post(f"/v1/costmaps/{made}/feasibility", json=task).status_code == 200
         assert client.get(f"/v1/costmaps/{made}/at", params={"x": START[0], "y": START[1]}).status_code == 200
+    asked = {"heightmap_id": heightmap, "model": "physics", "robot": {"min_turning_radius_m": 1.0}, "headings": 12}
+    made = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}).json()["id"]
+    for change in ({}, {"goal_heading_deg": 90.0}):
+        asked = {"start": START, "goal": GOAL, **change}
+        assert client.post(f"/v1/costmaps/{made}/paths", json=asked).status_code == 200
     for spacing in (1.0, 0.5, 1.5):  # a network's tiles side by side or with gaps, and single squares
         asked = {"heightmap_id": heightmap, "model": "default", "spacing_m": spacing, "headings": 8}
         done = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=60"})

@@ -19,8 +19,8 @@ import pytest
 
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.service.clusters import ROOT, free_port
 from tests.service.test_calibrations import run_csv
 from tests.service.test_restart import SERVE, answers, status, wait_until

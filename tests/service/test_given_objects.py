@@ -34,7 +34,7 @@ def flat(ground: jm.Heightmap) -> jm.CostMap:
 
 def _avoided(costs: jm.CostMap, areas: Any) -> np.ndarray:
     """Cells that only the question blocks."""
-    from joulemap.service.places import Places
+    from joulemap.service.places.places import Places
 
     lattice = costs.planner.avoiding(Places(costs.lattice.frame).areas(areas)).lattice
     return (lattice.blocked_by_heading() != Blocked.FREE).all(axis=2) & ~(
@@ -112,10 +112,6 @@ def test_a_wrong_name_of_a_robot_is_hinted_at() -> None:
     with pytest.raises(RobotError, match="did you mean mass_kg"):
         jm.Robot(mass=3)  # type: ignore[call-arg]
     assert copy.deepcopy(jm.Robot(mass_kg=3.0)) == pickle.loads(pickle.dumps(jm.Robot(mass_kg=3.0)))
-
-
-def test_only_public_names_are_listed() -> None:
-    assert set(dir(jm)) == {*jm.__all__, "__version__"}
 
 
 def test_a_data_array_without_coordinates_is_an_array() -> None:

@@ -33,7 +33,8 @@ from tests.service.test_bad_input import check_problem, left_in, npy
 from tests.service.test_calibrations import run_csv
 from tests.service.test_contract import served
 
-LIMITS = {"mb": 64.0, "rows": 10**6, "columns": 2_000, "cells": 2 * 10**7, "text_mb": 200.0, "km": 200.0}
+_TABLE = {"rows": 10**6, "columns": 2_000, "cells": 2 * 10**7, "text_mb": 200.0}
+LIMITS = {"mb": 64.0, "km": 200.0, "table": _TABLE}
 ROWS = b"t,x,y,voltage,current\n" + b"".join(b"%.1f,%.2f,0,24,2\n" % (0.1 * k, 0.05 * k) for k in range(400))
 
 
@@ -114,7 +115,7 @@ def test_known_attacks_are_refused(
 @pytest.mark.parametrize(
     ("body", "words"),
     [
-        (b"{" + b",".join(b'"k%d":1' % k for k in range(300_000)) + b"}", "more than 4,100 names of fields"),
+        (b"{" + b",".join(b'"k%d":1' % k for k in range(300_000)) + b"}", "more than 60,000 names of fields"),
         (b'{"path":[' + b"[0,0]," * 200_000 + b"[0,0]]}", "more than 110,000 lists"),
         (b'{"path":[' + b"0," * 2_000_000 + b"0]}", "more than 500,000 values"),
     ],
@@ -188,7 +189,8 @@ def test_a_poisoned_row_does_not_break_a_list(tmp_path: Path, hill_tif: bytes) -
             items = {item["id"]: item for item in client.get(f"/v1/{name}").json()["items"]}
             assert items[broken]["problem"]["status"] == 409
             assert items[whole].get("problem") is None
-            check_problem(client.get(f"/v1/{name}/{broken}"), 409, "conflict", "cannot be shown", "finite number")
+            shown = client.get(f"/v1/{name}/{broken}")
+            check_problem(shown, 409, "conflict", "cannot be shown", "not what was written")
         assert client.delete(f"/v1/heightmaps/{bad}").status_code == 204
 
 
@@ -262,27 +264,6 @@ def test_a_process_that_takes_too_long_or_too_much_is_ended(tmp_path: Path) -> N
     others = templates()
     anyio.run(_main)
     assert templates() <= others
-
-
-def test_files_are_read_by_forks_of_one_thread(tmp_path: Path) -> None:
-    """A fork of several threads would not be whole."""
-    place = tmp_path / "run.csv"
-    place.write_bytes(ROWS)
-
-    async def _main() -> None:
-        with closing(Readers(processes=1, queue=1, limits=ReadLimits(5, 750))) as readers:
-            for _ in range(2):
-                await readers.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS, reading=READING)
-            (template,) = templates() - others
-            assert template.num_threads() == 1
-            assert forks() == set()
-            with pytest.raises(OSError, match="No such file"):
-                await readers.read(
-                    "run", path=str(tmp_path / "none"), name="run.csv", limits_of_run=LIMITS, reading=READING
-                )
-
-    others = templates()
-    anyio.run(_main)
 
 
 def test_a_full_queue_is_told(tmp_path: Path) -> None:

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.cli import app
 
 
@@ -59,3 +62,30 @@ def test_a_file_that_is_no_heightmap_is_refused(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["info", str(tmp_path / "dem.tif")])
     assert result.exit_code == 3
     assert "dem.tif" in result.stderr
+
+
+def test_layers_are_counted_and_drawn(tmp_path):
+    """Mud over a quarter of the map, a house and a deck: the picture differs by each."""
+    frame = GridFrame(0.0, 40.0, 0.5, 80, 80)
+    write_geotiff(tmp_path / "dem.tif", Heightmap(np.zeros(frame.shape, dtype=np.float32), frame))
+
+    def _box(west: float, south: float, east: float, north: float, **said: object) -> dict:
+        ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+        return {"type": "Feature", "properties": said, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+
+    layers = {
+        "kinds": _box(0, 0, 10, 40, kind="mud"),
+        "obstacles": _box(20, 20, 30, 30),
+        "height": _box(30, 0, 34, 4, height=2),
+    }
+    words, pictures = ["info", str(tmp_path / "dem.tif")], set()
+    for role, polygons in layers.items():
+        (tmp_path / f"{role}.geojson").write_text(json.dumps(polygons))
+        words += ["--layer", f"{role}={tmp_path / role}.geojson"]
+        said = answer(*words, "--picture", str(tmp_path / "seen.png"))
+        pictures.add((tmp_path / "seen.png").read_bytes())
+    assert len(pictures) == 3
+    assert said["kinds"]["mud"] == pytest.approx(0.25, abs=0.01)
+    assert [layer["role"] for layer in said["layers"]] == ["kinds", "obstacles", "height"]
+    assert any("gives the heights of 16.0 m2" in words for words in said["warnings"])
+    assert said["heights_m"] == [0.0, 2.0]

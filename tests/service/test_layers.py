@@ -8,6 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
+from rasterio.transform import from_origin
+from rasterio.warp import transform_bounds
 from typer.testing import CliRunner
 
 import joulemap as jm
@@ -18,6 +21,8 @@ from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice import Blocked
 from joulemap.planner.lattice.io import load_lattice
 from joulemap.service.cli import app
+from joulemap.service.commands.remote import unpack
+from joulemap.service.storage.store import Store
 
 CRS = "EPSG:32630"
 FRAME = GridFrame(366900.0, 4064340.0, 0.5, 80, 80, CRS)
@@ -89,7 +94,7 @@ def test_on_the_command_line(files, tmp_path):
 def test_a_layer_that_is_typed_wrongly_is_refused_with_what_to_type(files, tmp_path):
     for typed, said in (
         ("kinds", "WHAT=FILE"),
-        ("mud=kinds.geojson", "no file"),
+        ("kinds=none.geojson", "no file"),
         (f"mud={files}/wall.geojson", "kinds, "),
     ):
         words = f"costmap {files}/level.tif --model physics --out {tmp_path}/no.zarr --layer {typed}"
@@ -157,3 +162,118 @@ def test_speeds_are_judged_on_the_layers_of_the_cost_map(client):
     route = costs.plan(ends["start"], ends["goal"])
     with pytest.raises(jm.JoulemapError, match="made with cost, factor over its heightmap, this one has no layers"):
         costs.speeds(route, level)
+
+
+def sent_raster(client, values: np.ndarray, *, crs: str = CRS, **options: object) -> dict:
+    """A raster of 2 m over the map, as a layer."""
+    with rasterio.MemoryFile() as memory:
+        place = from_origin(FRAME.west_m, FRAME.north_m, 2.0, 2.0)
+        if crs != CRS:
+            place = rasterio.transform.from_bounds(*transform_bounds(CRS, crs, *FRAME.bounds), *values.shape[::-1])
+        shape = {"width": values.shape[1], "height": values.shape[0], "count": 1, "dtype": values.dtype.name}
+        with memory.open(driver="GTiff", crs=crs, transform=place, **shape) as file:
+            file.write(values, 1)
+        sent = client.post(
+            "/v1/heightmaps", params={"layer": True, **options}, files={"file": ("land.tif", memory.read())}
+        )
+    assert sent.status_code == 201, sent.text
+    return sent.json()
+
+
+def halves(least: int = 1, most: int = 3) -> np.ndarray:
+    values = np.full((20, 20), least, dtype=np.uint8)
+    values[:, 10:] = most
+    return values
+
+
+LAND = {"grass": {"value": 1, "rolling_resistance": 0.08}, "ice": {"value": 2, "rolling_resistance": 0.01},
+        "mud": {"value": 3, "rolling_resistance": 0.2}}  # fmt: skip
+
+
+@pytest.mark.parametrize("crs", [CRS, "EPSG:4326"])
+def test_a_raster_is_sent_once_and_named_by_cost_maps(client, files, crs, tmp_path):
+    """Between 1 and 3 lies 2, which no cell has: nothing is interpolated on the way."""
+    ground = client.post("/v1/heightmaps", files={"file": ("level.tif", (files / "level.tif").read_bytes())}).json()
+    kinds = sent_raster(client, halves(), crs=crs)
+    assert [note for note in kinds["notes"] if "nearest" not in note and "reprojected" not in note] == []
+    house = np.zeros((20, 20), dtype=np.uint8)
+    house[:11, 9:11] = 1
+    assert kinds["layer"]
+    named = {"kinds": {"heightmap_id": kinds["id"]}, "obstacles": {"heightmap_id": sent_raster(client, house)["id"]}}
+    asked = {"heightmap_id": ground["id"], "model": "physics", "layers": named, "legend": LAND}
+    made = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=300"})
+    assert made.status_code == 201, made.text
+    unpacked = tmp_path / "map.zarr"
+    zipped = client.get(f"/v1/costmaps/{made.json()['id']}/data", params={"format": "zarr"})
+    assert zipped.status_code == 200, zipped.text
+    unpack(zipped.content, unpacked)
+    check(unpacked)
+    assert [layer["source"] for layer in load_lattice(unpacked).provenance["layers"]] == [
+        f"land.tif ({layer['heightmap_id']})" for layer in named.values()
+    ]
+    if crs == CRS:
+        kept = client.delete(f"/v1/heightmaps/{kinds['id']}")
+        assert kept.status_code == 409
+        assert f"is used by 1 cost map(s), {made.json()['id']}" in kept.json()["detail"]
+        client.delete(f"/v1/costmaps/{made.json()['id']}")
+        assert client.delete(f"/v1/heightmaps/{kinds['id']}").status_code == 204
+
+
+def test_a_raster_that_is_deleted_while_a_map_asks_for_it(client, files, monkeypatch):
+    ground = client.post("/v1/heightmaps", files={"file": ("level.tif", (files / "level.tif").read_bytes())}).json()
+    factor = client.post("/v1/heightmaps", params={"layer": True}, content=(files / "level.tif").read_bytes()).json()
+    whole = Store.add_costmap
+
+    def _after_its_check(store, *arguments, **options):
+        store.delete_heightmap(factor["id"])
+        return whole(store, *arguments, **options)
+
+    monkeypatch.setattr(Store, "add_costmap", _after_its_check)
+    asked = {"heightmap_id": ground["id"], "model": "physics", "layers": {"factor": {"heightmap_id": factor["id"]}}}
+    answer = client.post("/v1/costmaps", json=asked)
+    assert (answer.status_code, answer.json()["code"]) == (404, "not_found"), answer.text
+
+
+def test_polygons_with_a_member_that_looks_like_an_id_are_polygons(client, files):
+    ground = client.post("/v1/heightmaps", files={"file": ("level.tif", (files / "level.tif").read_bytes())}).json()
+    layers = {"obstacles": WALL | {"heightmap_id": "../joulemap.db"}}
+    asked = {"heightmap_id": ground["id"], "model": "physics", "layers": layers}
+    made = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=300"})
+    assert made.status_code == 201, made.text
+    assert [layer["source"] for layer in made.json()["provenance"]["layers"]] == ["areas of obstacles"]
+
+
+def test_a_request_holds_thousands_of_polygons(client, files):
+    ground = client.post("/v1/heightmaps", files={"file": ("level.tif", (files / "level.tif").read_bytes())}).json()
+    trees = collection(
+        *(polygon(0.5 * x, 0.5 * y, 0.5 * x + 0.2, 0.5 * y + 0.2, id=72 * x + y) for x in range(70) for y in range(72))
+    )
+    asked = {"heightmap_id": ground["id"], "model": "physics", "layers": {"obstacles": trees}}
+    answer = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=300"})
+    assert (answer.status_code, answer.json().get("status")) == (201, "done"), answer.text[:500]
+
+
+def test_a_raster_that_names_no_crs_is_taken_for_the_map_s_and_that_is_said(files, tmp_path):
+    values = halves().astype(np.float32)
+    bare = Heightmap(values, GridFrame(FRAME.west_m, FRAME.north_m, 2.0, 20, 20))
+    write_geotiff(tmp_path / "bare.tif", bare)
+    asked = ("costmap", files / "level.tif", "--model", "physics", "--layer", f"factor={tmp_path / 'bare.tif'}")
+    told = CliRunner().invoke(app, [str(word) for word in (*asked, "--out", tmp_path / "map.zarr")])
+    assert told.exit_code == 0, told.output
+    assert "bare.tif no coordinate reference system is known" in " ".join(told.output.split())
+
+
+def test_rasters_that_are_no_layers_of_the_map_are_refused_at_once(client, files):
+    ground = client.post("/v1/heightmaps", files={"file": ("level.tif", (files / "level.tif").read_bytes())}).json()
+    kinds = sent_raster(client, halves())
+    far = write_geotiff(None, Heightmap(np.zeros((9, 9), dtype=np.float32), GridFrame(0.0, 9.0, 1.0, 9, 9, CRS)))
+    elsewhere = client.post("/v1/heightmaps", params={"layer": True}, content=far).json()
+    for asked, status, said in (
+        ({"heightmap_id": kinds["id"]}, 422, "sent as a layer"),
+        ({"layers": {"kinds": {"heightmap_id": kinds["id"]}}}, 422, "the legend gives no `value`"),
+        ({"layers": {"factor": {"heightmap_id": elsewhere["id"]}}}, 422, "outside the heightmap"),
+        ({"layers": {"factor": {"heightmap_id": "hm-000000000000"}}}, 404, "is no heightmap"),
+    ):
+        answer = client.post("/v1/costmaps", json={"heightmap_id": ground["id"], "model": "physics"} | asked)
+        assert answer.status_code == status, answer.text
+        assert said in answer.text

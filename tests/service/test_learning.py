@@ -14,6 +14,7 @@ from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.prediction import predict_segments
 from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.energy.residuals_of_runs import base_residuals
 from joulemap.model.errors import InputError, ModelError, RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.loop.correction import Correction
@@ -23,12 +24,11 @@ from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.record import RECORD_FILE
 from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.training.evaluation import evaluate_on_runs
-from joulemap.model.training.measured_runs import train_on_runs
-from joulemap.service.cost_lattices import make_cost_lattice
+from joulemap.service.analysis.cost_lattices import make_cost_lattice
 from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop.calibration import calibrate_on_runs
-from joulemap.service.models import find_predictor, planning_robot
+from joulemap.service.models import find_predictor, load_model, planning_robot
+from tests.reference.one_site import evaluate_on_runs, train_on_runs
 
 ROBOT = Robot(rolling_resistance=0.1)
 SHIPPED = Path(__file__).resolve().parents[2] / "model" / "weights"
@@ -124,12 +124,26 @@ def test_a_resnet_goes_on_with_the_patches_it_was_trained_on(tmp_path):
     assert read_artifact(tmp_path / "tuned").size == 32
 
 
-def test_the_runs_of_an_earlier_model_do_not_stay_beside_a_new_one(tmp_path):
+def test_the_runs_of_a_model_are_its_own_and_are_missed(tmp_path):
     files = [drive(tmp_path, f"{k}.csv", y=2.0 + 2.0 * k) for k in range(2)]
-    train(files, tmp_path / "model")
-    assert (tmp_path / "model" / RECORD_FILE).is_file()
-    train(files, tmp_path / "model", charge=True)
-    assert not (tmp_path / "model" / RECORD_FILE).exists()
+    model, record = tmp_path / "model", tmp_path / "model" / RECORD_FILE
+
+    def baseline():
+        return base_residuals(model, load_model(model), waves(), ROBOT, None)
+
+    train(files, model)
+    assert baseline().runs == tuple(file.name for file in files)
+    train([drive(tmp_path, f"other {k}.csv", y=3.0 + k) for k in range(2)], tmp_path / "other")
+    record.write_bytes((tmp_path / "other" / RECORD_FILE).read_bytes())
+    with pytest.raises(ModelError, match=rf"{RECORD_FILE} is damaged, or of another training"):
+        baseline()
+    record.unlink()
+    with pytest.raises(ModelError, match=rf"{RECORD_FILE} is missing, the runs that this model was trained on"):
+        baseline()
+    train(files, model)
+    train(files, model, charge=True)
+    assert not record.exists()  # those of the model before do not stay
+    assert baseline() is None
 
 
 def test_runs_with_and_without_voltage_are_learned_together(tmp_path):
@@ -143,6 +157,7 @@ def test_plans_pay_for_the_turns_that_a_models_runs_paid_for(tmp_path):
     train([drive(tmp_path, "run.csv", y=4.0)], tmp_path / "model")
     config = tmp_path / "model" / "config.json"
     values = json.loads(config.read_text())
+    del values["checksum"]
     costs = {"turn_j_per_rad": 4.0}
     config.write_text(json.dumps(values | {"drive_costs": costs}))
     declared = Robot(turn_j_per_rad=2.0)
@@ -230,7 +245,7 @@ def test_evaluation_on_runs_that_trained_the_model_says_so(tmp_path):
     assert judged(new) == ([], [])
     config = tmp_path / "mine" / "config.json"  # a model from before runs were recorded by their data
     values = json.loads(config.read_text())
-    del values["training"]["run_hashes"]
+    del values["training"]["run_hashes"], values["checksum"]
     config.write_text(json.dumps(values))
     assert judged(renamed) == ([], [])
     seen, words = judged(files[0], new)

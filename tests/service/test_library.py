@@ -73,14 +73,6 @@ def test_a_robot_may_be_a_file_a_mapping_or_itself(tmp_path: Path) -> None:
     assert len(energies) == 1
 
 
-def test_a_route_saves_energy_against_the_shortest(route: jm.PlannedRoute) -> None:
-    assert route.saving_j == pytest.approx(route.shortest.energy_j - route.energy_j)
-    assert route.saving_j > 0.0
-    assert route.length_m > route.shortest.length_m
-    assert route.points.shape[1] == 3
-    assert route.profile.cumulative_j[-1] == pytest.approx(route.energy_j)
-
-
 def test_what_is_printed_is_in_words_and_units(costmap: jm.CostMap, route: jm.PlannedRoute) -> None:
     assert repr(costmap) == "<Cost map of 60 x 40 cells of 1 m, 16 headings, robot rover-4wd>"
     assert "J/m" in str(costmap)
@@ -115,15 +107,6 @@ def test_a_verdict_is_true_exactly_when_the_battery_lasts(costmap: jm.CostMap, r
 def test_a_charge_in_percent_is_refused_with_what_to_write(costmap: jm.CostMap, route: jm.PlannedRoute) -> None:
     with pytest.raises(jm.JoulemapError, match=r"for 60 % write 0\.6"):
         costmap.feasibility(route, charge=60)
-
-
-def test_snap_goes_to_the_nearest_free_place(costmap: jm.CostMap) -> None:
-    hole = (4.0, 36.0)
-    with pytest.raises(jm.JoulemapError, match="nearest"):
-        costmap.plan(hole, GOAL)
-    moved = costmap.plan(hole, GOAL, snap=True)
-    assert 0.0 < np.hypot(moved.points[0, 0] - hole[0], moved.points[0, 1] - hole[1]) < 5.0
-    assert moved.notes
 
 
 def test_a_wrong_point_is_named(costmap: jm.CostMap) -> None:
@@ -199,10 +182,6 @@ def test_points_of_a_route_may_be_given_back(costmap: jm.CostMap, route: jm.Plan
     """They have heights, which are not needed."""
     assert costmap.feasibility(route.points).energy_j == pytest.approx(route.energy_j)
     assert costmap.plan(route.points[0], route.points[-1]).energy_j == pytest.approx(route.energy_j, rel=1e-3)
-
-
-def test_one_mean_for_one_map(costmap: jm.CostMap) -> None:
-    assert f"mean {costmap.summary()['energy_per_m']['mean']:.1f} J/m" in str(costmap)
 
 
 def test_a_heading_is_drawn_when_one_is_given(costmap: jm.CostMap) -> None:

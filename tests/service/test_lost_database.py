@@ -98,15 +98,6 @@ def test_a_question_to_a_database_that_hangs_has_a_limit(tmp_path: Path, monkeyp
         store.close()
 
 
-def test_a_database_that_accepts_and_never_answers_is_given_up(tmp_path: Path) -> None:
-    pytest.importorskip("psycopg")
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        store = Store(tmp_path, f"postgresql+psycopg://a:b@127.0.0.1:{silent.getsockname()[1]}/c")
-        with pytest.raises(OperationalError):
-            store.open()
-        store.close()
-
-
 def test_requests_that_wait_for_the_keys_of_a_lost_database_fail_together(tmp_path: Path) -> None:
     """Each would wait for the limit of time otherwise, one after another."""
     asked = []

@@ -17,8 +17,8 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice.io import load_lattice
-from joulemap.planner.pricing.integrator import price_world_path
 from joulemap.service.schemas.planning import FeasibilityOut, PathOut
+from tests.reference.lattices import price_world_path
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST, hill
 from tests.service.test_restart import wait_until
 
@@ -259,7 +259,11 @@ def test_a_blocked_goal_names_the_nearest_free_place_and_snap_goes_there(client:
     there = client.post(f"/v1/costmaps/{costmap_id}/paths", json={**asked, "goal": place}).json()
     assert path["energy_j"] == pytest.approx(there["energy_j"])
     both = {**asked, "snap": True, "round_trip": True}
-    trip = client.post(f"/v1/costmaps/{costmap_id}/feasibility", json=both).json()
+    refused = client.post(f"/v1/costmaps/{costmap_id}/feasibility", json=both)
+    assert refused.status_code == 422  # a verdict is about the place that was asked for
+    assert "`snap` may move it by 1.41 m at most" in refused.json()["detail"]
+    beside = (np.array(place) + 0.8 * np.sign(np.subtract(IN_HOLE, place))).tolist()
+    trip = client.post(f"/v1/costmaps/{costmap_id}/feasibility", json={**both, "goal": beside}).json()
     assert trip["out"]["energy_j"] == pytest.approx(path["energy_j"])
     assert trip["back"]["path"][0][:2] == pytest.approx(place)
     assert trip["back"]["path"][-1][:2] == pytest.approx(START)

@@ -57,15 +57,6 @@ def test_many_points_are_checked_as_few_are(last: Any) -> None:
     assert outcome([*MANY, last]) == outcome([*MANY[:5], last])
 
 
-def test_all_points_of_three_numbers_or_none() -> None:
-    high = [[*point, 1.0] for point in MANY]
-    assert np.array_equal(FeasibilityRequest(path=high).path, high)
-    assert np.array_equal(FeasibilityRequest(path=MANY).path, MANY)
-    for wrong in (np.zeros((1_500, 0)).tolist(), np.zeros((1_500, 2, 2)).tolist(), [[]] * 1_500, "x" * 1_500):
-        with pytest.raises(ValidationError):
-            FeasibilityRequest(path=wrong)
-
-
 def test_a_long_path_over_http_has_the_verdict_of_a_short_one(client: TestClient, costmap_id: str) -> None:
     """Whether it is parsed quickly or not."""
     url = f"/v1/costmaps/{costmap_id}/feasibility"

@@ -4,29 +4,29 @@ from __future__ import annotations
 
 import json
 import zipfile
+from importlib import metadata
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import gpxpy
-import httpx
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from pyproj import Transformer
-from typer.testing import CliRunner
 
 import joulemap as jm
 from joulemap.model.errors import InputError, PointError
 from joulemap.model.frames import GridFrame
-from joulemap.service.cli import app
 from joulemap.service.client import ServedCostMap
 from joulemap.service.commands.console import parse_point
-from joulemap.service.coordinates import world_point
 from joulemap.service.exports.maps import MAP_FORMATS
 from joulemap.service.exports.routes import ROUTE_FORMATS
-from joulemap.service.places import Places
-from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST, hill
+from joulemap.service.places.coordinates import world_point
+from joulemap.service.places.places import Places
+from tests.service.conftest import GOAL, NORTH, START, WEST, hill
+from tests.service.test_cli import joulemap as command
 
 _TO = Transformer.from_crs("EPSG:32630", "EPSG:4326", always_xy=True)
 FRAME = GridFrame(WEST, NORTH, 1.0, 30, 40, "EPSG:32630")
@@ -35,13 +35,6 @@ FRAME = GridFrame(WEST, NORTH, 1.0, 30, 40, "EPSG:32630")
 def latlon(place: list[float]) -> list[float]:
     lon, lat = _TO.transform(place[0], place[1])
     return [lat, lon]
-
-
-def command(*arguments: object) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
 
 
 @pytest.fixture(scope="module")
@@ -55,14 +48,8 @@ def folder(costmap: jm.CostMap, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 @pytest.fixture(scope="module")
-def served(client: TestClient, costmap_id: str) -> ServedCostMap:
-    def _answer(request: httpx.Request) -> httpx.Response:
-        answer = client.request(
-            request.method, str(request.url), content=request.content, headers=dict(request.headers)
-        )
-        return httpx.Response(answer.status_code, headers=answer.headers, content=answer.content)
-
-    return jm.Client("http://testserver", transport=httpx.MockTransport(_answer)).open_costmap(costmap_id)
+def served(service: jm.Client, costmap_id: str) -> ServedCostMap:
+    return service.open_costmap(costmap_id)
 
 
 def test_two_numbers_are_metres_on_the_map_and_degrees_beside_it() -> None:
@@ -115,16 +102,6 @@ def test_paths_and_areas_are_read_in_one_form() -> None:
     assert Places(FRAME).areas([corners]) == [corners]
     with pytest.raises(InputError, match="point 1 of the path"):
         places.path([START, "there"])
-
-
-def test_python_takes_degrees(costmap: jm.CostMap) -> None:
-    plain = costmap.plan(START, GOAL)
-    (lat, lon), goal = latlon(START), latlon(GOAL)
-    found = costmap.plan({"lat": lat, "lon": lon}, goal)
-    assert found.energy_j == pytest.approx(plain.energy_j, rel=1e-3)
-    assert [note for note in found.notes if "was read as latitude,longitude" in note] == found.notes
-    points = [latlon(list(p[:2])) for p in plain.points]
-    assert costmap.feasibility(points).energy_j == pytest.approx(plain.energy_j, rel=1e-3)
 
 
 def test_http_takes_degrees_and_says_so(client: TestClient, costmap_id: str) -> None:
@@ -239,16 +216,14 @@ def test_places_as_they_are_typed(text: str, place: Any) -> None:
 
 
 def test_doctor_finds_what_is_there_and_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from joulemap.service.commands import doctor
-
     code, words, errors = command("doctor", "--data-dir", tmp_path, "--json", "-")
     assert code == 0, errors
     found = {one["name"]: one for one in json.loads(words)["findings"]}
     assert found["data directory"]["words"].startswith(str(tmp_path))
     assert found["requirements"]["state"] == "good"
     assert {"joulemap", "python", "extra tours", "extra logs", "geodata", "model", "gpu"} <= found.keys()
-    real = doctor.version
-    monkeypatch.setattr(doctor, "version", lambda name: "0.0.1" if name == "zarr" else real(name))
+    real = metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: "0.0.1" if name == "zarr" else real(name))
     monkeypatch.setenv("JOULEMAP_DATA_DRI", "/tmp")
     code, words, errors = command("doctor", "--data-dir", tmp_path, "--json", "-")
     assert code == 1
@@ -259,18 +234,14 @@ def test_doctor_finds_what_is_there_and_what_is_wrong(tmp_path: Path, monkeypatc
 
 
 def test_doctor_names_an_extra_that_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from importlib.metadata import PackageNotFoundError
-
-    from joulemap.service.commands import doctor
-
-    real = doctor.version
+    real = metadata.version
 
     def _without(name: str) -> str:
         if name == "ortools":
-            raise PackageNotFoundError(name)
+            raise metadata.PackageNotFoundError(name)
         return real(name)
 
-    monkeypatch.setattr(doctor, "version", _without)
+    monkeypatch.setattr(metadata, "version", _without)
     code, words, _ = command("doctor", "--data-dir", tmp_path)
     assert code == 0  # optional
     assert "pip install 'joulemap[tours]'" in words
@@ -311,7 +282,26 @@ def test_the_next_drive_by_command_and_in_python(folder: Path, tmp_path: Path, m
     assert (code, "are no places" in errors) == (3, True)
 
 
-def test_a_blocked_place_in_degrees_is_blocked(costmap: jm.CostMap) -> None:
-    lat, lon = latlon(IN_HOLE)
-    with pytest.raises(jm.JoulemapError, match="blocked ground"):
-        costmap.plan({"lat": lat, "lon": lon}, GOAL)
+def test_ros_and_nav2_files_may_count_from_a_local_origin(
+    folder: Path, served: ServedCostMap, costmap: jm.CostMap, tmp_path: Path
+) -> None:
+    """In UTM a float32 has steps of 0.25 m: the same places from a near origin, by every face."""
+
+    def _places(content: bytes) -> list[tuple[float, float]]:
+        found = [pose["pose"]["position"] for pose in json.loads(content)["poses"]]
+        return [(one["x"], one["y"]) for one in found]
+
+    ends = ["--start", ",".join(map(str, START)), "--goal", ",".join(map(str, GOAL))]
+    far, near = tmp_path / "far.path.json", tmp_path / "near.path.json"
+    assert command("path", folder, *ends, "--out", far)[0] == 0
+    assert command("path", folder, *ends, "--out", near, "--origin", "start")[0] == 0
+    moved = np.array(_places(far.read_bytes())) - START
+    assert np.array(_places(near.read_bytes())) == pytest.approx(moved, abs=1e-6)
+    over_http = served.plan_file(start=START, goal=GOAL, format="ros-path", origin=f"{START[0]},{START[1]}")
+    assert np.array(_places(over_http)) == pytest.approx(moved, abs=1e-6)
+    assert command("export", folder, "--out", tmp_path / "near.yaml", "--origin", f"{WEST},{NORTH - 30.0}")[0] == 0
+    assert "origin: [0.0, 0.0, 0.0]" in (tmp_path / "near.yaml").read_text()
+    code, _, errors = command("path", folder, *ends, "--out", tmp_path / "a.gpx", "--origin", "start")
+    assert (code, "--origin is for mcap, ros-path" in " ".join(errors.split())) == (2, True), errors
+    with pytest.raises(InputError, match="give x,y in metres"):
+        costmap.export(tmp_path / "b.yaml", origin="there")  # type: ignore[arg-type]

@@ -22,9 +22,9 @@ from fastapi.testclient import TestClient
 from joulemap.model.errors import DamagedError, InputError
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
-from joulemap.service.storage import object_vault
-from joulemap.service.storage.object_vault import ObjectVault, Part
+from joulemap.service.storage import vault as vaults
 from joulemap.service.storage.store import Store
+from joulemap.service.storage.vault import ObjectVault, Part
 from tests.service.clusters import cluster, free_port
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.preload import disturbed
@@ -188,9 +188,11 @@ def _calibrates(front: TestClient, other: TestClient, hill_tif: bytes) -> None:
     assert status(other, place) == "done", other.get(place).json()
     assert "<html" in other.get(f"{place}/report.html").text
     model = other.get(place).json()["id"]
-    costmap = other.post(
-        "/v1/costmaps", json={"heightmap_id": heightmap, "model": model, "headings": 8}, headers={"Prefer": "wait=300"}
-    ).json()
+    raster = front.post("/v1/heightmaps", content=hill_tif, params={"layer": True}).json()[
+        "id"
+    ]  # another file to fetch
+    asked = {"heightmap_id": heightmap, "model": model, "headings": 8, "layers": {"height": {"heightmap_id": raster}}}
+    costmap = other.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=300"}).json()
     assert costmap["status"] == "done", costmap
     answer = front.post(f"/v1/costmaps/{costmap['id']}/paths", json={"start": START, "goal": GOAL})
     assert answer.status_code == 200, answer.text
@@ -260,10 +262,10 @@ def test_an_object_store_that_is_away_is_told_and_waited_for(tmp_path: Path, wir
 def test_a_connection_that_hangs_is_given_up_and_another_one_asked(
     tmp_path: Path, wire: Wire, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(object_vault, "_RECORD_S", 1.0)
-    monkeypatch.setattr(object_vault, "_CONTENT_S", 1.0)
+    monkeypatch.setattr(vaults, "_RECORD_S", 1.0)
+    monkeypatch.setattr(vaults, "_CONTENT_S", 1.0)
     sent, copy, keep = tmp_path / "sent", tmp_path / "copy", "maps/hangs"
-    sent.write_bytes(os.urandom(object_vault.PIECE_BYTES + 1_000))  # in two pieces
+    sent.write_bytes(os.urandom(vaults.PIECE_BYTES + 1_000))  # in two pieces
     wire.hang, began = 2, time.monotonic()  # of records, and of pieces
     vault = ObjectVault("s3://maps/hang")
     vault.put(keep, sent)

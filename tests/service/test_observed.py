@@ -7,27 +7,23 @@ import json
 import logging
 import os
 import re
-import shutil
 import subprocess
 import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
 from sqlalchemy.exc import OperationalError
 
-from joulemap.model.errors import BusyError
 from joulemap.service.http import health as health_module
-from joulemap.service.http.health import OK, Health, disk_check
+from joulemap.service.http.health import OK, Health
 from joulemap.service.http.job_events import JobEvents, JobState
 from joulemap.service.http.logs import JsonLines, TextLines, WithRequestId, WrittenByAThread, log_config
 from joulemap.service.http.metrics import Metrics
 from joulemap.service.http.observed import Observed
-from joulemap.service.storage.sizes import bytes_of
 from tests.service.conftest import GOAL, START
 
 GENEROUS_S = 30.0
@@ -207,16 +203,6 @@ def test_a_check_that_hangs_has_failed_and_keeps_nobody_waiting():
     health.stop()
 
 
-def test_the_words_of_a_check_are_those_of_its_error(tmp_path: Path):
-    health = Health()
-    health.add("engine", lambda: (_ for _ in ()).throw(BusyError("no worker answers")))
-    health.add("disk", disk_check(tmp_path / "gone", least_free_bytes=1))
-    health.start()
-    until(lambda: health.results()["engine"] == "no worker answers")
-    until(lambda: health.results()["disk"] == "No such file or directory")
-    health.stop()
-
-
 def test_a_stalled_event_loop_is_seen():
     async def stall() -> Metrics:
         metrics = Metrics()
@@ -308,27 +294,12 @@ def test_what_is_done_cannot_be_cancelled(client, costmap_id):
     assert client.get(f"/v1/costmaps/{costmap_id}").json()["status"] == "done"
 
 
-def test_a_folder_that_disappears_while_sizes_are_summed_does_not_count(tmp_path: Path, monkeypatch):
-    for name in ("kept", "gone"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "file").write_bytes(bytes(10))
-    scandir = os.scandir
-
-    def _after_a_deletion(place):
-        if str(place).endswith("gone"):
-            shutil.rmtree(place)
-        return scandir(place)
-
-    monkeypatch.setattr(os, "scandir", _after_a_deletion)
-    assert bytes_of(tmp_path) == 10
-
-
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc keeps freed blocks")
 def test_freed_arrays_are_given_back():
     """Blocks of 4 MB between small ones that stay: without the call most of what is freed is kept."""
     code = """if True:
         import os, sys
-        from joulemap.service.memory import give_back_freed_memory
+        from joulemap.service.hosting.memory import give_back_freed_memory
         def held():
             return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
         bytearray(30_000_000)  # glibc raises its threshold when such a block is freed

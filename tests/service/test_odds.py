@@ -20,9 +20,9 @@ from joulemap.model.loop.correction import Correction
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.route_planner import RoutePlanner
+from joulemap.service.analysis.route_uncertainty import quantiles_of_route
 from joulemap.service.cli import app
 from joulemap.service.library.costmaps import CostMap
-from joulemap.service.route_uncertainty import quantiles_of_route
 from joulemap.service.schemas.answers import profile_pieces
 from tests.service.conftest import GOAL, START, hill
 
@@ -246,6 +246,22 @@ def test_speeds_over_http_and_on_the_command_line(client: TestClient, learned: t
     said = CliRunner().invoke(app, command)
     assert said.exit_code == 0, said.output
     assert json.loads(said.stdout)["cheapest"] == pytest.approx(over_http["cheapest"], rel=1e-3)
+    for more, several in ([], False), (["--by-stretch"], True):
+        plan = ground.with_suffix(".plan")
+        written = CliRunner().invoke(app, [*command, *more, "--out", str(plan)])
+        assert written.exit_code == 0, written.output
+        found = json.loads(written.stdout)
+        items = json.loads(plan.read_text())["mission"]["items"]
+        changes = [item["params"][1] for item in items if item["command"] == 178]
+        wanted = found["profile"]["speed_mps"] if several else [found["cheapest"]["speed_mps"]]
+        assert changes == pytest.approx(wanted, abs=1e-3)
+        assert items[0]["command"] == 178  # how fast to the first place, and so on
+        assert [item["doJumpId"] for item in items] == list(range(1, len(items) + 1))
+    sent = client.post(
+        f"/v1/costmaps/{costmap_id}/speeds?format=waypoints", json={"start": START, "goal": GOAL, "by_stretch": True}
+    )
+    assert sent.status_code == 200, sent.text
+    assert sent.text.count("\t178\t") == len(changes)
     missing = CliRunner().invoke(app, ["speeds", str(folder), "--start", ends[0], "--goal", ends[1]])
     assert missing.exit_code == 2
     assert "name the heightmap" in missing.output
@@ -304,6 +320,32 @@ def test_speeds_are_those_of_the_model_of_the_cost_map() -> None:
     costs = CostMap(build_lattice(ground, jm.Robot(), PhysicsPredictor()))
     with pytest.raises(InputError, match=r"made with the model physics \(version 1\), this is default"):
         costs.speeds([START, GOAL], ground)
+
+
+def test_return_and_feasibility_say_the_same_odds(learned: tuple[str, Path], tmp_path: Path) -> None:
+    """A way home is judged as a given path: the same energy, spread and probability from both commands."""
+    folder, path = jm.costmap(learned[1]).save(tmp_path / "learned.zarr"), tmp_path / "way.csv"
+    ends = {name: ",".join(map(str, place)) for name, place in (("position", GOAL), ("home", START))}
+
+    charge = "1"
+
+    def _asked(command: str, **options: str) -> dict[str, Any]:
+        given = [part for name, value in options.items() for part in (f"--{name}", value)]
+        said = CliRunner().invoke(app, [command, str(folder), *given, "--charge", charge, "--json", "-"])
+        assert said.exit_code == 0, said.output
+        return json.loads(said.stdout)
+
+    charge = str(1.05 * _asked("return", **ends)["home"]["energy_j"] / 3600.0 / jm.Robot().battery_wh)
+    home = _asked("return", **ends)["home"]
+    path.write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in home["way"]))
+    judged = _asked("feasibility", path=str(path))
+    assert 0.02 < home["probability"] < 0.98
+    assert home["probability"] == pytest.approx(judged["probability"], abs=1e-9)
+    assert (home["energy_j"], home["needed_j"]) == pytest.approx((judged["energy_j"], judged["energy_p95_j"]))
+    assert home["verdict"] == judged["verdict"]
+    planned = _asked("feasibility", start=ends["position"], goal=ends["home"])
+    assert planned["energy_j"] <= home["energy_j"]
+    assert planned["probability"] == pytest.approx(home["probability"], abs=0.03)  # a refined route takes less
 
 
 def test_the_way_home_without_a_path_is_told(tmp_path: Path) -> None:

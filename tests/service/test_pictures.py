@@ -18,9 +18,9 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.route_planner import RoutePlanner
-from joulemap.service import ground_drawing, raster_shading
-from joulemap.service.map_style import INK, OPTIMAL, SHORTEST
-from joulemap.service.pictures import lattice_image, route_picture
+from joulemap.service.render import ground_drawing
+from joulemap.service.render.map_style import INK, OPTIMAL, SHORTEST
+from joulemap.service.render.pictures import lattice_image, route_picture
 
 
 def rough(rows: int = 30, cols: int = 40) -> Heightmap:
@@ -53,13 +53,6 @@ def test_every_view_is_drawn(lattice: CostLattice, view: str, heading_deg: float
     png = lattice_image(lattice, view=view, heading_deg=heading_deg)
     assert png.startswith(b"\x89PNG\r\n\x1a\n")
     assert pixels(png).std() > 0.05
-
-
-def test_opposite_headings_look_different_on_a_slope(lattice: CostLattice) -> None:
-    one, other = (lattice_image(lattice, view="heading", heading_deg=h) for h in (90.0, 270.0))
-    assert pixels(one).shape == pixels(other).shape
-    assert np.abs(pixels(one) - pixels(other)).mean() > 0.01
-    assert lattice_image(lattice, view="heading", heading_deg=450.0) == one  # the same direction, the same bytes
 
 
 def test_what_is_too_steep_is_marked_where_it_blocks(lattice: CostLattice) -> None:
@@ -110,18 +103,6 @@ def test_what_is_blocked_in_some_headings_is_in_the_picture_of_a_path() -> None:
     assert label not in labels[1]
     bank = [picture[60:150, 150:700].mean(axis=(0, 1)) for picture in pictures]
     assert bank[0][0] - bank[0][1] > bank[1][0] - bank[1][1] + 0.01  # redder
-
-
-def test_a_large_map_is_averaged_not_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks of 3 x 3 with one unknown cell average the other eight; the rest that fills no block is left out."""
-    monkeypatch.setattr(raster_shading, "MAX_PIXELS", 4)
-    values = np.arange(110.0).reshape(10, 11)
-    values[0, 0] = np.nan
-    thin, extent = raster_shading.thinned(values, GridFrame(0.0, 10.0, 1.0, 10, 11))
-    assert thin.shape == (3, 3)
-    assert extent == (0.0, 9.0, 1.0, 10.0)
-    assert thin[0, 0] == pytest.approx((values[:3, :3][~np.isnan(values[:3, :3])]).mean())
-    assert thin[2, 2] == pytest.approx(values[6:9, 6:9].mean())
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (3, 200), (200, 3)])

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import socket
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
-import httpx
 import pytest
+
+from tests.service.test_restart import serving
 
 
 def joulemap(*words: object) -> subprocess.CompletedProcess[str]:
@@ -23,42 +18,16 @@ def joulemap(*words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, umask=0o022, check=True)
 
 
-@contextmanager
-def serving(folder: Path, log: Path) -> Iterator[str]:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "joulemap.service.cli", "serve", "--port", str(port), "--data-dir", str(folder)]
-    settings = os.environ | {"JOULEMAP_WORKERS": "1", "JOULEMAP_WARM_MODELS": '["physics"]'}
-    url = f"http://127.0.0.1:{port}"
-    with log.open("w") as said, subprocess.Popen(command, env=settings, stderr=said, umask=0o022) as process:
-        try:
-            deadline = time.monotonic() + 400.0  # where kernels are compiled first
-            while True:
-                assert process.poll() is None, log.read_text()
-                assert time.monotonic() < deadline, log.read_text()
-                try:
-                    if httpx.get(f"{url}/readyz").status_code == 200:
-                        break
-                except httpx.TransportError:
-                    pass
-                time.sleep(0.2)
-            yield url
-        finally:
-            process.send_signal(signal.SIGTERM)
-            process.wait(60.0)
-
-
 def open_to_others(folder: Path) -> list[str]:
     return [str(path) for path in (folder, *folder.rglob("*")) if path.stat().st_mode & 0o077]
 
 
 def test_what_a_service_makes_is_for_its_account_alone(tmp_path: Path, hill_tif: bytes) -> None:
     folder = tmp_path / "data"
-    with serving(folder, tmp_path / "log") as url:
-        heightmap = httpx.post(f"{url}/v1/heightmaps", content=hill_tif).json()["id"]
+    with serving(folder, place="/readyz", umask=0o022, log=tmp_path / "log") as (_, http):
+        heightmap = http.post("/v1/heightmaps", content=hill_tif).json()["id"]
         asked = {"heightmap_id": heightmap, "model": "physics"}
-        made = httpx.post(f"{url}/v1/costmaps", json=asked, headers={"Prefer": "wait=120"}, timeout=150.0)
+        made = http.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=120"})
         assert made.status_code == 201, made.text
         joulemap("keys", "add", "anna", "--data-dir", folder)
         assert len(list(folder.rglob("*"))) > 20
@@ -74,7 +43,7 @@ def test_an_older_data_directory_is_closed_where_the_keys_are_and_the_rest_is_sa
     joulemap("keys", "add", "anna", "--data-dir", folder)
     folder.chmod(0o755)
     (folder / "joulemap.db").chmod(0o644)
-    with serving(folder, tmp_path / "log"):
+    with serving(folder, umask=0o022, log=tmp_path / "log"):
         modes = {path.name: path.stat().st_mode & 0o777 for path in folder.glob("joulemap.db*")}
     assert set(modes.values()) == {0o600}, modes
     said = (tmp_path / "log").read_text()

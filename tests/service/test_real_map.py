@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from joulemap.planner.pricing.integrator import price_world_path
+from tests.reference.lattices import price_world_path
 
 
 def test_uma_rescue_area(client: TestClient, real_data: Path) -> None:

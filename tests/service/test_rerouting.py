@@ -41,9 +41,9 @@ def test_turning_straightens_the_route() -> None:
     turning = Term(Turning(), (200.0,))
     told = compare_routes(hills(), ROBOT, PhysicsPredictor(), calibrated(turning, turn_j_per_rad=200.0), PLACES)
     assert told.turn_j_per_rad == (0.0, 200.0)
-    assert len(told.tried) == 6
-    assert all(r.saving_j >= 0.0 for r in told.tried)
-    assert told.shown.saving_share == max(r.saving_share for r in told.tried) > 0.02
+    assert told.chosen == "the two places with the greatest distance that the runs visited"  # whatever they save
+    assert told.shown.task == drawn_tasks(PLACES, seed=0)[0]
+    assert told.shown.saving_share > 0.0
     document = told.as_dict()
     assert document["saving_j"] == pytest.approx(document["before"]["energy_j"] - document["after"]["energy_j"])
     assert document["before"]["energy_at_old_prices_j"] < document["before"]["energy_j"]

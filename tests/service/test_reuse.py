@@ -11,7 +11,7 @@ from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms.structure import Curve
 from joulemap.model.loop.terms import Term
 from joulemap.model.robot import Robot
-from joulemap.service.settings import Settings
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.storage.store import Store
 from tests.service.workers import fingerprint, made_here, rolling
 

@@ -1,19 +1,19 @@
-"""The examples of the page on a robot in the loop, against a service: a robot that comes home, a planner for Nav2."""
+"""The examples of the page on a robot in the loop, against a service: a robot that comes home."""
 
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
+from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
-from fastapi.testclient import TestClient
 
 import joulemap as jm
+from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.client import ServedCostMap
 from tests.docs.code_blocks import blocks_of
 from tests.service.conftest import GOAL, START
+from tests.service.test_closed_way import ground
 
 PAGE = "docs/how-to/my-robot-in-the-loop.md"
 
@@ -23,17 +23,6 @@ def example(name: str) -> dict[str, Any]:
     names: dict[str, Any] = {"__name__": name}
     exec(compile(block.text, name, "exec"), names)
     return names
-
-
-@pytest.fixture(scope="module")
-def service(client: TestClient) -> jm.Client:
-    def _answer(request: httpx.Request) -> httpx.Response:
-        answer = client.request(
-            request.method, str(request.url), content=request.content, headers=dict(request.headers)
-        )
-        return httpx.Response(answer.status_code, headers=answer.headers, content=answer.content)
-
-    return jm.Client("http://testserver", transport=httpx.MockTransport(_answer))
 
 
 @pytest.fixture(scope="module")
@@ -73,45 +62,12 @@ def test_a_robot_with_too_little_charge_stays_at_home(costmap: ServedCostMap) ->
     assert verdict.feasible
 
 
-def _message(**fields: Any) -> Any:
-    return SimpleNamespace(**fields)
-
-
-def _pose() -> Any:
-    place = _message(x=0.0, y=0.0, z=0.0)
-    turned = _message(x=0.0, y=0.0, z=0.0, w=1.0)
-    return _message(header=_message(frame_id="", stamp=None), pose=_message(position=place, orientation=turned))
-
-
-def _path() -> Any:
-    return _message(header=_message(frame_id="", stamp=None), poses=[])
-
-
-def test_a_planner_as_nav2_calls_it(service: jm.Client, costmap: ServedCostMap) -> None:
-    origin = (START[0] - 3.0, START[1] - 4.0)
-    planner = example("nav2_planner.py")["JoulemapPlanner"](
-        "http://testserver", costmap.id, path_type=_path, pose_type=_pose, origin=origin
-    )
-    planner.configure(service)
-    planner.activate()
-    start, goal = _pose(), _pose()
-    for pose, place in ((start, START), (goal, GOAL)):
-        pose.header.frame_id = "map"
-        pose.pose.position.x, pose.pose.position.y = place[0] - origin[0], place[1] - origin[1]
-    goal.pose.orientation = _message(x=0.0, y=0.0, z=1.0, w=0.0)
-    path = planner.create_plan(start, goal)
-    places = [(p.pose.position.x, p.pose.position.y) for p in path.poses]
-    assert places[0] == pytest.approx((3.0, 4.0))
-    assert places[-1] == pytest.approx((GOAL[0] - origin[0], GOAL[1] - origin[1]))
-    assert max(math.dist(a, b) for a, b in zip(places, places[1:], strict=False)) < 1.001
-    assert path.poses[-1].pose.orientation.z == 1.0
-    for here, there, pose in zip(places, places[1:], path.poses, strict=False):
-        yaw = 2.0 * math.atan2(pose.pose.orientation.z, pose.pose.orientation.w)
-        along = math.atan2(there[1] - here[1], there[0] - here[0])
-        assert math.cos(yaw - along) > 0.999
-    assert planner.last.energy_j == pytest.approx(costmap.plan(START, GOAL).energy_j, rel=1e-6)
-    start.header.frame_id = "odom"
-    with pytest.raises(ValueError, match="odom"):
-        planner.create_plan(start, goal)
-    planner.deactivate()
-    planner.cleanup()
+def test_a_robot_does_not_drive_to_a_goal_or_a_home_that_no_way_leads_to(service: jm.Client, tmp_path: Path) -> None:
+    write_geotiff(tmp_path / "wall.tif", ground("wall"))
+    costmap = service.costmap(tmp_path / "wall.tif", model="physics")
+    home, beyond = (10.5, 5.5), (10.5, 34.5)
+    loop = example("robot_loop.py")["RobotLoop"](costmap, home)
+    heading_for, route, _ = loop.decide(home, 1.0, beyond)
+    assert (heading_for, route.length_m) == ("home", 0.0)
+    with pytest.raises(RuntimeError, match=r"no way leads home: the nearest place is 1\d\.\d m away"):
+        loop.decide(beyond, 1.0, beyond)

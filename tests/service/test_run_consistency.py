@@ -95,13 +95,6 @@ def test_a_robot_that_never_moved_is_said_so():
         check_runs(driven(rows=10), MAP, ROBOT)
 
 
-def test_a_missing_column_is_told_beside_those_there():
-    with pytest.raises(RunsError, match=r"no column 't'.*columns of numbers are current, tick, x, y"):
-        parse_run("tick,x,y,current\n" + "1,2,3,4\n" * 6, name="run.csv")
-    with pytest.raises(RunsError, match=r"neither a text in CSV .UTF-8. nor another log"):
-        parse_run(b"II*\x00\x90\x01" * 20, name="dem.tif")
-
-
 def test_a_pattern_that_names_nothing_says_where_it_looked(tmp_path: Path):
     dem = tmp_path / "dem.asc"
     dem.write_text("ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n1 1\n1 1\n")

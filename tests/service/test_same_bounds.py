@@ -55,6 +55,27 @@ def test_bounds_are_said_alike(
     assert all(part in sent.value.message for part in said)
 
 
+@pytest.mark.parametrize(
+    ("option", "field", "value"),
+    [
+        ("--quantile", "quantile", 0.999),
+        ("--time-limit", "time_limit_s", 61.0),
+        ("--seed", "seed", -1),
+    ],
+)
+def test_a_command_says_the_same_of_its_option(
+    costmap: Any, local: jm.CostMap, tmp_path: Path, option: str, field: str, value: float
+) -> None:
+    folder = local.save(tmp_path / "map.zarr")
+    ends = [f"--start={START[0]},{START[1]}", f"--goal={GOAL[0]},{GOAL[1]}"]
+    more = ["--objective", "quantile"] if field == "quantile" else []
+    code, _, words = joulemap("path", folder, *ends, *more, f"{option}={value}")
+    with pytest.raises(InputError) as sent:
+        costmap._connection.send("POST", f"/v1/costmaps/{costmap.id}/paths", json=ENDS | {field: value})
+    assert code == 3
+    assert sent.value.message.replace(f"{field}:", f"{option}:") in " ".join(words.split())
+
+
 def test_what_the_battery_says_is_not_said_otherwise(costmap: Any, local: jm.CostMap) -> None:
     pack, route = jm.Battery(280.0, charge=0.8), local.plan(START, GOAL)
     with pytest.raises(InputError, match=r"`charge` is 0\.5, and `battery` says 0\.8: say it once"):
@@ -67,16 +88,6 @@ def test_what_the_battery_says_is_not_said_otherwise(costmap: Any, local: jm.Cos
     assert local.reach(START, battery=pack, charge=[0.4, 0.6]).charges == (0.4, 0.6)
     course = local.feasibility(route, battery={"health": 0.5}, charge=0.8).verdict
     assert course.available_j == pytest.approx(0.5 * local.feasibility(route, charge=0.8).verdict.available_j)
-
-
-def test_the_command_says_a_capacity_once(local: jm.CostMap, tmp_path: Path) -> None:
-    folder, pack = local.save(tmp_path / "map.zarr"), tmp_path / "pack.toml"
-    pack.write_text("capacity_wh = 280\n")
-    ends = [f"--start={START[0]},{START[1]}", f"--goal={GOAL[0]},{GOAL[1]}"]
-    code, _, words = joulemap("feasibility", str(folder), *ends, "--battery", str(pack), "--capacity-wh", "100")
-    assert code == 3
-    assert "--capacity-wh is 100" in words
-    assert joulemap("path", str(folder), *ends, "--alternatives", "11")[0] == 3
 
 
 def test_a_long_way_and_polygons_are_taken(local: jm.CostMap, costmap: Any) -> None:

@@ -11,7 +11,7 @@ import pytest
 from joulemap.model.energy.artifact import read_artifact
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.model.training.distillation import distil_on_runs
-from joulemap.model.training.measured_runs import train_on_runs
+from tests.reference.one_site import train_on_runs
 from tests.service.clusters import shared_scheduler
 from tests.service.test_learning import ROBOT, SHIPPED, drive, waves
 

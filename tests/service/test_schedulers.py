@@ -18,8 +18,8 @@ from joulemap.service.cli import app as cli
 from joulemap.service.cluster import attendance, connection
 from joulemap.service.cluster.address import scheduler_address
 from joulemap.service.cluster.attendance import Attendance
+from joulemap.service.hosting.settings import Settings
 from joulemap.service.http.app import create_app
-from joulemap.service.settings import Settings
 from tests.service.clusters import cluster, dask
 from tests.service.conftest import settings_for
 from tests.service.test_restart import wait_until

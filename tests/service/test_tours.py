@@ -11,7 +11,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from joulemap.planner.lattice.io import load_lattice
-from joulemap.planner.pricing.integrator import price_world_path
+from tests.reference.lattices import price_world_path
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST
 from tests.service.test_bad_input import check_problem
 from tests.service.test_cli import folder, joulemap  # noqa: F401
@@ -33,6 +33,8 @@ def test_a_tour_visits_all_stops_and_comes_home(client: TestClient, costmap_id: 
         assert (leg["path"][0][:2], leg["path"][-1][:2]) == (pytest.approx(here), pytest.approx(there))
     lattice = load_lattice(client.app.state.service.store.lattice_path(costmap_id))  # type: ignore[attr-defined]
     assert tour["energy_j"] == pytest.approx(sum(leg["energy_j"] for leg in tour["legs"]))
+    radii = [leg["tightest_radius_m"] for leg in tour["legs"]]
+    assert tour["tightest_radius_m"] == min(radius for radius in radii if radius is not None)
     assert tour["energy_j"] == pytest.approx(price_world_path(lattice, np.array(tour["path"], dtype=float)))
     assert tour["energy_j"] <= tour["grid_energy_j"] * (1 + 1e-9)
     assert tour["bound_j"] <= tour["grid_energy_j"] * (1 + 1e-6)

@@ -15,7 +15,7 @@ from joulemap.planner.grid.stopping import Stopped, check_stop, new_flag, stop_f
 from joulemap.planner.pricing.moves import move_table
 from joulemap.service.http.long_questions import events, while_connected
 from joulemap.service.http.work_queue import WorkQueue
-from joulemap.service.jobs.turns import turns_of
+from joulemap.service.jobs.engine import turns_of
 from tests.reference.lattices import random_lattice
 
 GENEROUS_S = 30.0

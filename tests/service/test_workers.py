@@ -19,13 +19,13 @@ from sqlalchemy import create_engine
 
 from joulemap.model.errors import JoulemapError
 from joulemap.model.robot import Robot
-from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice import tiles as tiling
 from joulemap.planner.lattice.build import provenance_of
 from joulemap.service.cluster.connection import connected
 from joulemap.service.http.app import create_app
 from joulemap.service.jobs.costmaps import make
+from joulemap.service.library.heightmaps import read_heightmap
 from joulemap.service.storage.claims import Claims
 from joulemap.service.storage.store import Store
 from joulemap.service.work import tiles
@@ -202,5 +202,8 @@ def test_a_job_is_claimed_once_and_given_back_by_a_process_that_ends(tmp_path: P
             assert claims.keep(["cm-02", "cm-03"]) == {"cm-03"}
             other.send_signal(signal.SIGKILL)
         wait_until(lambda: claims.keep(["cm-02", "cm-03"]) == {"cm-02", "cm-03"})
+        other_of_process = Claims(create_engine(url), tmp_path / "claims")
+        assert other_of_process.keep(["cm-02", "cm-04"]) == {"cm-04"}  # of this process, too
+        other_of_process.close()
         assert claims.keep([]) == set()
         claims.close()

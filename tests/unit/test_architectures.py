@@ -16,7 +16,7 @@ from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.examples import cut_examples
 from joulemap.model.energy.predictor import SHIPPED_WEIGHTS
 from joulemap.model.energy.tensors import CPU, ExampleTensors
-from joulemap.model.errors import InputError, ModelError
+from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
@@ -41,14 +41,6 @@ def artifact(name: str) -> Artifact:
     for parameter in net.parameters():
         torch.nn.init.normal_(parameter, std=0.05)
     return Artifact(net.eval(), DOMAIN, size)
-
-
-@pytest.mark.parametrize("name", ARCHITECTURES)
-def test_a_name_leads_to_its_class(name: str) -> None:
-    kind = find_architecture(name)
-    assert kind.name == name
-    assert kind.build({}, size=kind.input_size(None)).architecture == name
-    assert Artifact(kind.build({}, size=kind.size), DOMAIN).size == kind.size
 
 
 @pytest.mark.parametrize("name", ARCHITECTURES)
@@ -95,11 +87,6 @@ def test_a_frozen_backbone_is_the_only_part_that_training_leaves(name: str) -> N
     assert changed
     if frozen is not None:
         assert not {f"backbone.{key}" for key, _ in frozen.named_parameters()} & changed
-
-
-def test_an_unknown_architecture_is_answered_with_the_known_ones() -> None:
-    with pytest.raises(ModelError, match=f"no architecture 'forest': known are {', '.join(ARCHITECTURES)}"):
-        find_architecture("forest")
 
 
 def test_only_an_architecture_with_a_backbone_reads_one(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from rasterio.io import MemoryFile
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.reference.heightmap_files import ASC, HEIGHTS, npy, npy_header, npz
 
 

@@ -24,7 +24,6 @@ from joulemap.model.loop.forms.simple_costs import SimpleCosts
 from joulemap.model.loop.forms.speed import Speed
 from joulemap.model.loop.forms.structure import Curve
 from joulemap.model.loop.forms.turning import Turning
-from joulemap.model.loop.mixture import Mixture
 from joulemap.model.loop.terms import Term
 from joulemap.model.robot import Robot
 from joulemap.model.runs.features import Drives
@@ -76,46 +75,35 @@ SIMPLE = Term(
 
 
 SIMPLE_PRICE = 30.0 + 400.0 * 0.05 + 6.0 / 0.5
-ALONE = Mixture({"least_squares": 1.0}, {"least_squares": SIMPLE})
 
 
 def test_least_squares_that_predict_better_are_all_of_a_price(tmp_path):
-    correction = Correction((), (), mixture=ALONE, planner_scale=1.1, scale=1.3)
+    correction = Correction((), (SIMPLE,), alone=True, planner_scale=1.1, scale=1.3)
     folder = tmp_path / "model"
     version = save_calibrated(folder, correction, {"name": "physics", "version": "1"})
     read, _, again = read_calibrated(folder)
-    assert (read.mixture, read.planner_scale, read.scale, again) == (ALONE, 1.1, 1.3, version)
+    assert (read.planner_terms, read.alone, read.planner_scale, read.scale, again) == (
+        (SIMPLE,),
+        True,
+        1.1,
+        1.3,
+        version,
+    )
     model = CalibratedPredictor(PhysicsPredictor(), read, name="mine", version=version)
     assert price(model) == pytest.approx(1.1 * SIMPLE_PRICE, rel=1e-5)
     assert model.correction.only_in_logs == []
 
 
-def test_a_mean_of_predictions_is_a_mean_of_prices():
-    """Half of what was found, three tenths of the base model as declared, and a fifth of least squares."""
-    shares = {"after_planner": 0.5, "before": 0.3, "least_squares": 0.2}
-    term, extra = EFFECTS["climbing"]
-    shift = Drives(coasting_shift=0.01)  # known to the calibrated model only
-    model = calibrated(term, mixture=Mixture(shares, {"least_squares": SIMPLE}), drives=shift)
-    found = BASE + 0.01 * WEIGHT + extra
-    assert price(model) == pytest.approx(0.5 * found + 0.3 * BASE + 0.2 * SIMPLE_PRICE, rel=1e-5)
-    assert model.correction.mixture.turned(100.0, 10.0) == pytest.approx(50.0 + 3.0 + 14.0)
-
-
-def test_a_file_of_format_3_plans_with_the_one_prediction_that_it_names(tmp_path):
-    save_calibrated(tmp_path, Correction((), (SIMPLE,)), {"name": "physics", "version": "1"})
-    file = tmp_path / "calibration.json"
-    content = json.loads(file.read_text())
-    del content["version"], content["mixture"]
-    content |= {"format": 3, "alone": True}
-    version = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-    file.write_text(json.dumps({"version": version} | content))
-    assert read_calibrated(tmp_path)[0].mixture == ALONE
+def test_where_the_model_before_is_better_plans_use_it():
+    """As declared, whatever the calibration found."""
+    model = calibrated(logged=[EFFECTS["climbing"][0]], alone=True, drives=Drives(coasting_shift=0.01))
+    assert price(model) == pytest.approx(BASE, rel=1e-5)
 
 
 def test_of_slopes_that_no_run_has_shown_the_base_model_knows_the_price():
     level = BaseParameters(("rolling_resistance", "idle_power_w"))
     first = Term(level, (0.0, 0.0))
-    model = calibrated(mixture=ALONE, first_base=first)
+    model = calibrated(SIMPLE, alone=True, first_base=first)
     assert price(model) == pytest.approx(30.0 + 6.0 / 0.5 + 0.05 * WEIGHT, rel=1e-5)
 
 
@@ -231,7 +219,7 @@ def test_a_calibration_of_an_older_version_must_be_made_again(tmp_path):
     save_calibrated(tmp_path, WHOLE, {"name": "physics", "version": "1"})
     file = tmp_path / "calibration.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"format": 1}))
-    with pytest.raises(ModelError, match="has format 1, and this version of joulemap reads formats 3 and 4: calibrate"):
+    with pytest.raises(ModelError, match="has format 1, and this version of joulemap reads format 3: calibrate"):
         read_calibrated(tmp_path)
 
 

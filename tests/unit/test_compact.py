@@ -21,6 +21,7 @@ from joulemap.model.energy.architectures.compact.tracks import (
 )
 from joulemap.model.energy.architectures.compact.weights import CompactConfig, CompactWeights, heading_basis
 from joulemap.model.energy.domain import Domain
+from joulemap.model.energy.learned import Facts
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.robot_features import robot_features
 from joulemap.model.energy.uncertainty import Spread
@@ -45,7 +46,7 @@ def some_net(seed: int = 0) -> CompactNet:
 
 
 def predictor(net: CompactNet | None = None) -> CompactPredictor:
-    return CompactPredictor((net or some_net()).weights(), DOMAIN, {"kind": "compact"}, name="some")
+    return CompactPredictor((net or some_net()).weights(), Facts(DOMAIN, SQUARE, "some", {"kind": "compact"}))
 
 
 def rough(resolution_m: float, *, side_m: float = 14.0, seed: int = 0, height_m: float = 300.0) -> Heightmap:
@@ -61,13 +62,10 @@ def one_by_one(model: CompactPredictor, heightmap: Heightmap, frame: GridFrame, 
     return model.segment_traction(heightmap, ROBOT, *(p.ravel() for p in places)).reshape(places[0].shape)
 
 
-def test_small_enough_to_ship():
-    count = sum(p.numel() for p in CompactNet().parameters())
-    assert 20_000 < count < 300_000
-
-
-@pytest.mark.parametrize("resolution_m", [0.05, 0.1, 0.25, 1.0])
-@pytest.mark.parametrize("spacing_m", [1.0, 0.5, 1 / 3, 0.7, 2.0])
+@pytest.mark.parametrize(
+    ("resolution_m", "spacing_m"),
+    [(0.05, 1.0), (0.1, 1.0), (0.25, 1.0), (1.0, 1.0), (0.1, 0.5), (0.25, 1 / 3), (0.1, 0.7), (0.25, 2.0)],
+)
 def test_dense_passes_and_single_squares_agree(resolution_m, spacing_m):
     heightmap = rough(resolution_m)
     frame = heightmap.frame.respaced(spacing_m)
@@ -88,15 +86,6 @@ def test_the_two_ways_agree_on_a_robot_wider_than_the_tracks_reach():
     places = np.broadcast_arrays(x[None, :, None], y[:, None, None], headings)
     single = model.segment_traction(heightmap, robot, *places).reshape(places[0].shape)
     np.testing.assert_allclose(model.traction_per_m(heightmap, robot, frame, headings), single, rtol=1e-5, atol=5e-4)
-
-
-def test_a_window_is_a_part_of_the_whole():
-    heightmap = rough(0.2)
-    frame = heightmap.frame.respaced(1.0)
-    model = predictor()
-    whole = model.traction_per_m(heightmap, ROBOT, frame, heading_bins(8))
-    part = model.traction_per_m(heightmap, ROBOT, frame.window(2, 9, 5, 6), heading_bins(8))
-    np.testing.assert_allclose(part, whole[2:9, 5:6], rtol=1e-5, atol=1e-4)
 
 
 @pytest.mark.parametrize("joined", [True, False])
@@ -151,15 +140,6 @@ def test_weights_of_another_network_are_refused():
         CompactWeights(arrays, config)
 
 
-def test_slopes_of_a_plane():
-    x, y = np.meshgrid((np.arange(SQUARE) - 8) * PIXEL_M, (8 - np.arange(SQUARE)) * PIXEL_M)
-    square = torch.from_numpy((0.3 * x - 0.2 * y).astype(np.float32))[None]
-    east, north, twist = torch_slopes(square)[0].numpy()
-    np.testing.assert_allclose(east, 0.3, atol=1e-6)
-    np.testing.assert_allclose(north, -0.2, atol=1e-6)
-    np.testing.assert_allclose(twist, 0.0, atol=1e-6)
-
-
 def test_height_above_the_sea_does_not_matter():
     # heights that float32 holds exactly, so that the shift by 512 m loses nothing
     frame = GridFrame(0.0, 12.0, 0.25, 48, 48)
@@ -185,14 +165,14 @@ def test_the_standard_deviation_too_is_one_answer_in_two_ways(spacing_m):
     heightmap = rough(0.1)
     frame = heightmap.frame.respaced(spacing_m)
     headings = heading_bins(6)
-    model = CompactPredictor(some_net(2).weights(), DOMAIN, {}, name="some", spread=Spread(factor=1.7))
+    model = CompactPredictor(some_net(2).weights(), Facts(DOMAIN, SQUARE, "some", spread=Spread(factor=1.7)))
     x, y = frame.centres()
     places = np.broadcast_arrays(x[None, :, None], y[:, None, None], headings)
     std = model.traction_and_std(heightmap, ROBOT, frame, headings)[1]
     single = model.segment_traction_and_std(heightmap, ROBOT, *places)[1].reshape(std.shape)
     assert (std[1:-1, 1:-1] > 0.0).all()
     np.testing.assert_allclose(std, single, rtol=2e-4)
-    plain = CompactPredictor(some_net(2).weights(), DOMAIN, {}, name="some").traction_and_std(
+    plain = CompactPredictor(some_net(2).weights(), Facts(DOMAIN, SQUARE, "some")).traction_and_std(
         heightmap, ROBOT, frame, headings
     )
     np.testing.assert_allclose(std, 1.7 * plain[1], rtol=1e-5)

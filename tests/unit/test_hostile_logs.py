@@ -9,7 +9,7 @@ import pytest
 from joulemap.model.errors import JoulemapError, RunsError, TooLargeError
 from joulemap.model.runs.reader import parse_run
 from joulemap.model.runs.table import TableLimits
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.fuzz.bombs import BOMBS
 from tests.fuzz.files import MAPS
 from tests.fuzz.inputs import changed

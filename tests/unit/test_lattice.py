@@ -8,7 +8,7 @@ import pytest
 import zarr
 
 from joulemap.model.energy.physics import PhysicsPredictor
-from joulemap.model.errors import DamagedError, HeightmapError, InputError, TooLargeError
+from joulemap.model.errors import DamagedError, HeightmapError, InputError, NotFoundError, TooLargeError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
@@ -138,7 +138,7 @@ def test_saved_and_loaded_it_is_the_same(tmp_path):
 
 
 def test_what_is_not_a_lattice_is_refused(tmp_path):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(NotFoundError) as caught:
         load_lattice(tmp_path / "nowhere.zarr")
     assert caught.value.message == f"there is no cost map {tmp_path / 'nowhere.zarr'}"
     (tmp_path / "mine").mkdir()

@@ -292,6 +292,7 @@ def test_a_ring_is_closed_and_a_crs_may_be_its_name_alone():
         ("obstacles", {"type": "GeometryCollection", "geometries": []}, "GeometryCollection"),
         ("obstacles", {"type": "FeatureCollection", "features": []}, "no polygons"),
         ("obstacles", feature(RING) | {"crs": {"properties": {"name": 32630}}}, "crs of .* is 32630"),
+        ("obstacles", feature(RING) | {"crs": {"type": "link", "properties": {"href": "a"}}}, "give its name"),
         ("kinds", feature(RING, kind={"a": 1}), "kind .* give a name"),
         ("kinds", feature(RING, kind="m" * 101), "101 letters"),
         ("kinds", feature(RING, kind=10**400), "give a name"),

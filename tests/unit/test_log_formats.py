@@ -80,7 +80,7 @@ def test_a_topic_is_overridden_and_headings_are_those_of_the_map(written, drive,
 def test_streams_without_a_common_time_are_refused(drive, tmp_path):
     from joulemap.model.runs.formats.messages import Collector
     from joulemap.model.runs.formats.ros import ros_log
-    from joulemap.model.runs.logs import _mapped
+    from joulemap.model.runs.logs import _table
     from joulemap.model.runs.table import LIMITS
 
     collector = Collector("r", LIMITS)
@@ -89,14 +89,14 @@ def test_streams_without_a_common_time_are_refused(drive, tmp_path):
         collector.add("/fix", 100.0 + 0.1 * k, {"latitude": 36.7, "longitude": -4.4})
     kinds = {"/battery": "sensor_msgs/BatteryState", "/fix": "sensor_msgs/NavSatFix"}
     with pytest.raises(RunsError, match="not logged at the same time"):
-        _mapped(ros_log(collector.streams(), kinds), {}, "r", LIMITS, {})
+        _table(ros_log(collector.streams(), kinds), {}, "r", LIMITS, {})
     del kinds["/battery"]
     with pytest.raises(RunsError, match=r"no message with a current or a power was found \(in /battery, /fix\)"):
-        _mapped(ros_log(collector.streams(), kinds), {}, "r", LIMITS, {})
+        _table(ros_log(collector.streams(), kinds), {}, "r", LIMITS, {})
 
 
 def test_a_pause_of_a_topic_is_a_gap_and_not_a_straight_line():
-    from joulemap.model.runs.table_columns import at_stamps
+    from joulemap.model.runs.common_rows import at_stamps
 
     t = np.arange(0.0, 20.0, 0.5)
     stamps = np.concatenate([np.arange(0.0, 5.1, 0.1), np.arange(12.0, 20.0, 0.1)])

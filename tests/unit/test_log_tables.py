@@ -7,9 +7,9 @@ from joulemap.model.errors import RunsError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.instants import across_midnight, seconds_of
 from joulemap.model.runs.mapping import read_mapping, source_of
-from joulemap.model.runs.odometry import Odometry, read_odometry
+from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.plausible import implausible
-from joulemap.model.runs.reader import parse_run
+from joulemap.model.runs.reader import parse_run, read_run
 from joulemap.model.runs.units import conversion, unit_in_name
 
 ROWS = 80
@@ -207,7 +207,7 @@ def test_logs_of_known_programs_need_no_mapping(tmp_path):
     assert np.isnan(run.x[0])
     husky = {"time": T, "curL": CURRENT, "curR": CURRENT, "velL": np.full(ROWS, 0.5), "velR": np.full(ROWS, 0.5)}
     (tmp_path / "a.csv").write_text(table(husky))
-    run = read_odometry(tmp_path / "a.csv", Odometry(1.0))
+    run = read_run(tmp_path / "a.csv", odometry=Odometry(1.0))
     np.testing.assert_allclose(run.current_a, 2 * CURRENT)
     assert run.reading["current_left"] == "curL [A]"
 

@@ -18,8 +18,8 @@ from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.lattice.io import save_lattice
 from joulemap.planner.lattice.stored_lattice import StoredLattice
-from joulemap.service import map_pieces, raster_shading
-from joulemap.service.map_layers import (
+from joulemap.service.render import map_pieces, raster_shading
+from joulemap.service.render.map_layers import (
     blocked_layer,
     coarse_heights,
     colour_scale,
@@ -28,8 +28,8 @@ from joulemap.service.map_layers import (
     layer_bounds,
     overview,
 )
-from joulemap.service.map_pieces import draw_piece, levels_of, look_of
-from joulemap.service.map_shapes import roses
+from joulemap.service.render.map_pieces import draw_piece, levels_of, look_of
+from joulemap.service.render.map_shapes import roses
 
 
 def wavy(rows: int = 30, cols: int = 47) -> Heightmap:
@@ -63,7 +63,7 @@ def test_a_coarse_map_has_the_cells_in_the_middle(
 @pytest.mark.parametrize("strip", [1, 10_000])
 def test_coarse_heights_are_the_means_whatever_is_read_at_a_time(strip: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(raster_shading, "MAX_PIXELS", 16)
-    monkeypatch.setattr("joulemap.service.map_layers._STRIP_CELLS", strip)
+    monkeypatch.setattr("joulemap.service.render.map_layers._STRIP_CELLS", strip)
     ground = wavy()
     heights, extent = coarse_heights(ground)
     whole, same = raster_shading.thinned(ground.heights, ground.frame)

@@ -19,7 +19,7 @@ from joulemap.planner.pricing.integrator import (
 )
 from joulemap.planner.pricing.kernels import path_energy
 from joulemap.planner.pricing.moves import move_table, with_margin
-from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.route_planner import RouteOptions, RoutePlanner
 from tests.reference.lattices import ascii_lattice, random_lattice
 
 ROVER = Robot(idle_power_w=0.5, speed_mps=0.5, tracking_std_m=0.1)
@@ -34,12 +34,23 @@ WIDE = """
     .b......................
     ........................
 """
+TWO_NARROW = """
+    ........................
+    ........................
+    .a......................
+    ........................
+    #.####.##....###########
+    ........................
+    ........................
+    .b......................
+    ........................
+"""
 NARROW = WIDE.replace("....########", "############")
 
 
-def planned(drawing, robot):
+def planned(drawing, robot, **how):
     lattice, at = ascii_lattice(drawing, robot=robot)
-    return RoutePlanner(lattice).plan(at["a"], at["b"])
+    return RoutePlanner(lattice).plan(at["a"], at["b"], RouteOptions(**how))
 
 
 def test_a_wide_gap_is_taken_though_a_narrow_one_is_nearer():
@@ -49,6 +60,13 @@ def test_a_wide_gap_is_taken_though_a_narrow_one_is_nearer():
     assert kept.route.notes == []
     assert metres_within_margin(*_as_points(WIDE, kept)) == 0.0
     assert kept.shortest.length_m == pytest.approx(kept.route.length_m, rel=0.02)  # it keeps the margin too
+
+
+def test_the_shortest_path_does_not_replace_one_that_keeps_the_margin():
+    """The same penalty decides between ways in the search and after it."""
+    plan = planned(TWO_NARROW, ROVER, alternatives=2)
+    assert metres_within_margin(*_as_points(TWO_NARROW, plan)) == 0.0
+    assert plan.route.energy_j == pytest.approx(planned(TWO_NARROW, ROVER).route.energy_j)
 
 
 def _as_points(drawing, plan):
@@ -109,7 +127,7 @@ def test_the_price_of_a_driven_leg_is_the_mean_of_three_side_by_side(std, spacin
     share = np.hypot(3.0, 9.0) / (np.hypot(3.0, 9.0) + 2.0 * margin)
     weight = min(0.5 * (std / spacing / margin) ** 2, 1.0 / 3.0)
     expected = exact + weight * (share * sum(beside) - 2.0 * exact)
-    assert path_energy(*driven_prices(lattice, 10.0), leg) == pytest.approx(expected, rel=1e-9)
+    assert path_energy(driven_prices(lattice, 10.0), leg) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(("door", "clearance_m"), [(13, 0.0), (14, 0.0), (16, 0.05)])

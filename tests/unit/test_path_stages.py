@@ -10,7 +10,7 @@ from joulemap.model.robot import Robot
 from joulemap.planner.any_angle.bending import ACROSS, ON_LINE, bent
 from joulemap.planner.any_angle.newton import settled
 from joulemap.planner.any_angle.shortcuts import shortcuts
-from joulemap.planner.pricing.integrator import driven_prices, path_price, price_arrays
+from joulemap.planner.pricing.integrator import driven_prices, exact_prices, path_price
 from tests.reference.lattices import ascii_lattice
 
 LENGTH = 32.0
@@ -36,7 +36,7 @@ def test_bending_takes_a_bulge_back(turn_j_per_rad, direction):
     bulge = np.column_stack(
         [np.array([10, 10, 10, 10, 11, 10, 10, 10, 10]) + 0.5, COLS]
     )  # on the columns' lines, between two centres
-    found = bent(*price_arrays(lattice), turn_j_per_rad, bulge, 1.0, direction)
+    found = bent(exact_prices(lattice)._replace(turn_j_per_rad=turn_j_per_rad), bulge, 1.0, direction)
     np.testing.assert_array_equal(found[[0, -1]], bulge[[0, -1]])
     assert path_price(lattice, bulge) > 1.003 * LENGTH
     assert path_price(lattice, found) == pytest.approx(LENGTH, rel=1e-9)
@@ -47,7 +47,7 @@ def test_settling_takes_a_wave_back_to_within_a_hundredth_of_what_it_costs():
     wave = np.column_stack([10.0 + 0.4 * np.sin(np.pi * (COLS - 4.0) / 8.0 + 1e-12), COLS])
     wave[:, 0] += 0.2 * np.sin(np.pi * (COLS - 4.0) / LENGTH)
     wave[[0, -1], 0] = 10.0
-    found = settled(*price_arrays(lattice), wave, np.array([0.25, 0.25, 0.0625]))
+    found = settled(exact_prices(lattice), wave, np.array([0.25, 0.25, 0.0625]))
     np.testing.assert_array_equal(found[[0, -1]], wave[[0, -1]])
     assert path_price(lattice, wave) > 1.0005 * LENGTH
     assert path_price(lattice, found) - LENGTH < 0.01 * (path_price(lattice, wave) - LENGTH)

@@ -15,7 +15,7 @@ from joulemap.model.robot import Robot
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.places import nearest_free
 from joulemap.planner.pricing.integrator import leg_prices_between
-from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.route_planner import RouteOptions, RoutePlanner
 from tests.reference.lattices import ascii_lattice, plane_lattice
 
 ROBOT = Robot(max_grade_deg=25.0, max_cross_slope_deg=20.0)
@@ -45,7 +45,7 @@ def test_a_blocked_start_or_goal_names_the_nearest_free_place():
 @pytest.mark.parametrize("planner", ["astar", "dijkstra"])
 def test_with_snap_a_plan_goes_to_the_nearest_free_place_and_says_so(planner):
     lattice, at = ascii_lattice(ROOM)
-    plan = RoutePlanner(lattice).plan((4.8, 2.5), (5.5, 1.9), planner=planner, snap=True)
+    plan = RoutePlanner(lattice).plan((4.8, 2.5), (5.5, 1.9), RouteOptions(planner=planner, snap=True))
     np.testing.assert_allclose(plan.route.points[0, :2], [3.5, 2.5])
     np.testing.assert_allclose(plan.route.points[-1, :2], [5.5, 0.5])
     first, second = plan.route.notes
@@ -54,26 +54,11 @@ def test_with_snap_a_plan_goes_to_the_nearest_free_place_and_says_so(planner):
         "1.30 m away"
     )
     assert second.startswith("goal (5.50, 1.90) is on blocked ground")
-    free = RoutePlanner(lattice).plan(at["a"], at["b"], snap=True)
+    free = RoutePlanner(lattice).plan(at["a"], at["b"], RouteOptions(snap=True))
     assert free.route.notes == []
     np.testing.assert_allclose(free.route.points[[0, -1], :2], [at["a"], at["b"]])
     with pytest.raises(PointError, match="outside"):  # no free place is meant there
-        RoutePlanner(lattice).plan(at["a"], (99.0, 2.5), snap=True)
-
-
-def test_with_snap_a_tour_goes_to_the_nearest_free_places_and_says_so():
-    pytest.importorskip("ortools")
-    lattice, at = ascii_lattice(ROOM)
-    stops = [at["a"], (4.8, 2.5), at["b"]]
-    with pytest.raises(BlockedError, match=r"stop 1 .* nearest free place"):
-        RoutePlanner(lattice).tour(stops)
-    trip = RoutePlanner(lattice).tour(stops, snap=True)
-    assert len(trip.notes) == 1
-    assert "stop 1 (4.80, 2.50) is on blocked ground (step)" in trip.notes[0]
-    assert (3.5, 2.5) in [tuple(leg.points[0, :2]) for leg in trip.legs]
-    assert repr(trip).startswith("RoundTrip(3 stops, ")
-    assert f"stop {trip.order[0]} to stop {trip.order[1]}: " in str(trip)
-    assert trip.notes[0] in str(trip)
+        RoutePlanner(lattice).plan(at["a"], (99.0, 2.5), RouteOptions(snap=True))
 
 
 def test_a_free_cell_without_a_way_out_is_no_place_to_go_to():
@@ -95,14 +80,14 @@ def test_ground_that_is_too_steep_in_every_heading_is_no_place_to_go_to():
     with pytest.raises(BlockedError, match="grade") as said:
         RoutePlanner(steep).plan((2.5, 1.5), (28.5, 1.5))
     assert said.value.context["nearest"] == [20.5, 1.5]
-    assert RoutePlanner(steep).plan((2.5, 1.5), (28.5, 1.5), snap=True).route.points[0, 0] == 20.5
+    assert RoutePlanner(steep).plan((2.5, 1.5), (28.5, 1.5), RouteOptions(snap=True)).route.points[0, 0] == 20.5
 
 
 def test_where_nothing_is_free_the_message_says_so():
     lattice, _ = ascii_lattice("####\n####\n####")
     assert nearest_free(lattice, 1.5, 1.5) is None
     with pytest.raises(BlockedError, match="no free place near it") as said:
-        RoutePlanner(lattice).plan((1.5, 1.5), (2.5, 1.5), snap=True)
+        RoutePlanner(lattice).plan((1.5, 1.5), (2.5, 1.5), RouteOptions(snap=True))
     assert "nearest" not in said.value.context
 
 

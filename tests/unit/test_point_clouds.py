@@ -8,7 +8,7 @@ import pytest
 from pyproj import CRS
 
 from joulemap.model.errors import HeightmapError, TooLargeError
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.fuzz.inputs import changed
 
 

@@ -17,8 +17,9 @@ from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.readers import read_heightmap, read_sent
+from joulemap.model.terrain.readers import read_sent
 from joulemap.model.terrain.writers import write_bands_geotiff, write_geotiff
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.reference.heightmap_files import HEIGHTS, ROUGH, UTM, geotiff, png
 
 

@@ -16,7 +16,7 @@ from rasterio.crs import CRS
 from joulemap.model.errors import HeightmapError, TooLargeError
 from joulemap.model.terrain.formats import FORMATS, formats_in_words
 from joulemap.model.terrain.formats.contract import FormatModule
-from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.reference.heightmap_files import (
     ASC,
     HEIGHTS,
@@ -127,12 +127,6 @@ def test_the_list_of_formats_loads_neither_numpy_nor_gdal() -> None:
         "sys.exit(any(name in sys.modules for name in ('numpy', 'rasterio')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-@pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf")])
-def test_impossible_resolutions_are_refused(bad: float) -> None:
-    with pytest.raises(HeightmapError, match="`resolution_m` must be"):
-        read_heightmap(npy(HEIGHTS), resolution_m=bad)
 
 
 @pytest.mark.parametrize("suspect", [-9999.0, -32768.0])

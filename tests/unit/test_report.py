@@ -17,19 +17,17 @@ from joulemap.model.loop.terms import Term
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop import calibration
-from joulemap.service.loop.base_words import base_name, base_words
 from joulemap.service.loop.calibration import Calibrated, campaigns_of
 from joulemap.service.loop.deprecated_keys import with_former_keys
-from joulemap.service.loop.effect_words import confounded_words, found_words
-from joulemap.service.loop.error_words import error_states, error_words, odds_words, plan_words, variation_words
+from joulemap.service.loop.effect_words import base_name, base_words, confounded_words, found_words
+from joulemap.service.loop.error_words import error_words, plan_words
 from joulemap.service.loop.next_drive import NextDrive, next_drive
 from joulemap.service.loop.next_words import NextStep, drive_words, likeliest
-from joulemap.service.loop.report_figures import LEAST_SPAN, change_scale
 from joulemap.service.loop.report_page import report_page
-from joulemap.service.loop.summary import headline, range_words, summary_lines
+from joulemap.service.loop.summary import headline, summary_lines
 from joulemap.service.words import p_words
 from tests.reference.drives import ROBOT, found_in, made_up, noisy
-from tests.reference.words import PRIVATE, shown
+from tests.reference.words import shown
 
 BEFORE = {"name": "made up", "version": "1"}
 COVERAGE = {"track_m": 800.0, "used_m": 720.0, "left_out_m": {"gaps": 50.0, "unknown_ground": 30.0}}
@@ -117,16 +115,6 @@ def test_the_page_begins_with_what_was_found_how_much_better_it_is_and_what_to_t
     assert places == sorted(places)
 
 
-def test_the_summary_tells_one_thing_after_the_other(turning):
-    lines = summary_lines(turning.document)
-    assert lines[0].startswith("Found: turning")
-    assert lines[1] == "Base parameters:"
-    count = len(base_words(turning.document))
-    assert all(line.startswith("  ") for line in lines[2 : 2 + count])
-    assert lines[2 + count].startswith("These runs show")
-    assert lines[-1].startswith("Driven: speed ")
-
-
 def test_base_parameters_are_declared_and_measured(turning):
     parameters = [
         {"name": "rolling_resistance", "declared": 0.05, "value": 0.0812, "ci95": [0.07, 0.09], "unit": ""},
@@ -169,15 +157,6 @@ def test_each_state_of_the_model_is_judged_by_three_measures(turning):
         "after 9.6 % mean relative, 9.6 J root mean square, 4.8 % of the energy; "
         "after, plan-time prediction 9.9 % mean relative, 9.9 J root mean square, 5.0 % of the energy."
     )
-
-
-def test_states_that_do_not_differ_are_told_once():
-    told = errors(SIZES | {"after_planner": 0.096})
-    assert list(error_states(told)) == ["before", "corrected", "after"]
-    only_base = errors(SIZES | {"after": 0.107, "after_planner": 0.107})
-    assert error_states(only_base) == {"before": "before", "corrected": "after, with the base parameters"}
-    charge = errors(dict.fromkeys(SIZES, 0.1))
-    assert list(error_states(charge)) == ["before"]
 
 
 def test_test_runs_come_first(turning):
@@ -226,29 +205,23 @@ def test_a_model_that_is_not_confirmed_is_not_to_be_used(turning, state, said):
 
 
 @pytest.mark.parametrize(
-    ("shares", "said"),
+    ("proposal", "said"),
     [
+        ("after_planner", "Plans use the calibrated model (no other prediction surely errs less on routes): 6 J root"),
         (
-            {"after_planner": 1.0},
-            "Plans use the calibrated model, and no weighted mean with the others errs surely less: ",
+            "least_squares",
+            "Plans use least squares of length, climb, turned angle, time, drag and kinetic energy (errs ",
         ),
-        (
-            {"least_squares": 1.0},
-            "Plans use least squares of length, climb, turned angle, time, drag and kinetic energy, and no ",
-        ),
-        (
-            {"before": 0.3, "after_planner": 0.7},
-            "Plans use a weighted mean, 70 % the calibrated model and 30 % the model before: ",
-        ),
+        ("before", "Plans use the model before (errs least on routes and runs): 6 J root mean square"),
     ],
 )
-def test_what_plans_use_is_said_beside_what_it_was_compared_with(turning, shares, said):
-    told = turning.document | {"error": errors(SIZES | SIMPLE | {"proposed": 0.06}), "plan_shares": shares}
+def test_what_plans_use_is_said_beside_what_it_was_compared_with(turning, proposal, said):
+    told = turning.document | {"error": errors(SIZES | SIMPLE | {"proposed": 0.06}), "proposal": proposal}
     first, second = plan_words(told)
-    assert first.startswith(f"{said}6 J root mean square" if said.endswith(": ") else said)
-    assert ("9.9 J of the calibrated model" in first) == (shares != {"after_planner": 1.0})
+    assert first.startswith(said)
+    assert ("9.9 J of the calibrated model" in first) == (proposal != "after_planner")
+    assert ("12.4 J of the model before" in first) == (proposal != "before")
     assert "30 J of a constant energy per metre" in first
-    assert "12.4 J of the model before" in first
     assert second.startswith("Right on average: the measured energy is ")
     low = {"proposed": {"ratio": 1.2, "std": 0.01, "agrees": False, "factor": 1.2}}
     assert plan_words(told | {"mean": low})[1] == (
@@ -258,26 +231,6 @@ def test_what_plans_use_is_said_beside_what_it_was_compared_with(turning, shares
     few = {"proposed": low["proposed"] | {"factor": 1.0}}
     assert "A factor would make metres worse" in plan_words(told | {"mean": few})[1]
     assert first in shown(report_page(Calibrated(told, turning.found, None, LEVEL))).replace("&nbsp;", " ")
-
-
-def test_the_odds_are_told_with_what_happened(turning):
-    inside, curve = {"50": 0.48, "80": 0.81, "90": 0.92}, [[0.05, 0.04], [0.5, 0.52], [0.95, 0.97]]
-    told = turning.document | {"reliability": {"routes": 90, "inside": inside, "curve": curve, "factor": 1.0}}
-    (words,) = odds_words(told)
-    assert words == (
-        "Odds on 90 stretches of runs that had no part in them: 48 % inside the 50 % interval, 81 % inside the 80 % "
-        "interval, 92 % inside the 90 % interval. No more energy: 5 % said, 4 % happened, 50 % said, 52 % happened, "
-        "95 % said, 97 % happened."
-    )
-    assert "Odds on 90 stretches of runs" in shown(report_page(Calibrated(told, turning.found, None, LEVEL)))
-    wider = told | {"reliability": told["reliability"] | {"factor": 1.4}}
-    assert odds_words(wider)[1].endswith("they are made 1.40 times as wide.")
-
-
-def test_level_ground_is_said_in_the_first_lines(turning):
-    level = turning.document | {"level_ground": True}
-    assert "nothing of slopes" in summary_lines(level)[1]
-    assert "nothing of slopes" in shown(report_page(Calibrated(level, turning.found, None, LEVEL)))
 
 
 def test_errors_of_the_fit_are_said_to_be_that(nothing):
@@ -336,31 +289,6 @@ def curve(*values, over="grade", name="learned:grade", label="structure in grade
     return effect_of("curve", name, label, coefficients=coefficients, settings=settings)
 
 
-def test_a_fitted_curve_is_summed_up_by_its_direction_and_range(turning):
-    def said(*values):
-        return found_words(turning.document | {"effects": [curve(*values)]})[1]
-
-    end = "J/m, p = 1e-05. The report shows the curve. It acts everywhere. It explains 60 % of the squared error."
-    assert said(-7.04, 2.1) == f"Structure in grade: a fitted curve over grade, rising from -7.04 to +2.1 {end}"
-    assert said(3.0, -1.0) == f"Structure in grade: a fitted curve over grade, falling from +3 to -1 {end}"
-    assert said(3.0, 1.0) == f"Structure in grade: a fitted curve over grade, between +0 and +3 {end}"
-    against = curve(3.0, 3.0, 3.0) | {"settings": curve()["settings"] | {"centred": False}}
-    words = found_words(turning.document | {"effects": [against]})[1]
-    assert words.startswith("Structure in grade: a fitted curve over grade, +3 J/m everywhere, p ")
-
-
-def test_the_page_shows_a_picture_of_each_curve(turning):
-    heading = curve(4.0, -3.0, over="heading", label="structure in heading")
-    made = Calibrated(turning.document | {"effects": [curve(-7.0, 2.0), heading]}, turning.found, None, LEVEL)
-    page = report_page(made)
-    assert "Fitted curves with 95&nbsp;% intervals (structure in grade, structure in heading)" in page
-    assert ">heading [deg]<" in page
-    plain = report_page(turning)
-    assert page.count("<svg") == plain.count("<svg") + 2 - sum(
-        e["form"] == "curve" for e in turning.document["effects"]
-    )
-
-
 def test_faults_of_the_log_are_no_part_of_plans(turning):
     late = effect_of("meter_lag", "meter_lag", "late power readings", in_plans=False, where="everywhere")
     drift = effect_of("drift", "drift", "drift over time or distance", in_plans=False)
@@ -369,24 +297,6 @@ def test_faults_of_the_log_are_no_part_of_plans(turning):
     assert found_words(document)[2].endswith("Plans do not contain it: it depends on what only a log records.")
     text = shown(report_page(Calibrated(document, turning.found, None, LEVEL)))
     assert text.index("late power readings") < text.index("no: a fault of the log") < text.index("no: needs a log")
-
-
-def test_what_differs_between_runs_only_is_said(turning):
-    between = effect_of("temperature", "temperature", "temperature", between_runs=True)
-    words = found_words(turning.document | {"effects": [between]})[1]
-    assert "The differences between runs show it, not the course within a run." in words
-    assert "between runs" not in found_words(turning.document)[1]
-
-
-def test_variation_of_unknown_cause_is_a_share_of_the_energy(turning):
-    def said(share, names=("a", "b")):
-        variation = turning.document["variation"] | {"run_share": share}
-        runs = turning.document["runs"] | {"names": list(names)}
-        return variation_words(turning.document | {"variation": variation, "runs": runs})
-
-    assert said(0.0523) == "Run-to-run variation of 5.2 % of the energy is left, cause unknown."
-    assert said(0.0) == "The runs do not differ by more than the spread within them."
-    assert said(0.0, ["a"]) == "One run alone does not show how much runs differ."
 
 
 def test_what_cannot_be_distinguished_is_told_with_the_drive_that_would(turning):
@@ -403,24 +313,6 @@ def test_what_cannot_be_distinguished_is_told_with_the_drive_that_would(turning)
     assert words in summary_lines(document)
     text = shown(report_page(Calibrated(document, turning.found, None, LEVEL)))
     assert "turning, speed, structure in heading" in text
-
-
-def test_ranges_and_what_holds_beyond_them_are_told(turning):
-    ranges = {"speed": [0.2, 0.6], "grade": [-0.1, 0.1], "column:temperature": [4.0, 9.0]}
-    document = turning.document | {"ranges": ranges}
-    assert range_words(document) == (
-        "Driven: speed 0.2 to 0.6 m/s, grade -0.1 to 0.1. Beyond these, effects keep their value at the border."
-    )
-    assert "4 to 9 degC" in shown(report_page(Calibrated(document, turning.found, None, LEVEL)))
-    driven = turning.document["ranges"]["speed"]  # of 2 s to a metre, more or less
-    assert 0.3 < driven[0] < 0.5 < driven[1] < 0.6
-
-
-def test_metres_used_and_left_out_are_told_by_reason(turning):
-    text = shown(report_page(turning)).replace("&nbsp;", " ")
-    for words in ("used</td>", "720 m (90.0 %)", "left out: gaps", "50 m (6.2 %)", "left out: unknown ground"):
-        assert words.removesuffix("</td>") in text
-    assert "No part of the track is left out because of its energy." in text
 
 
 def test_python_prints_the_summary_of_the_command_line(turning, tmp_path):
@@ -448,30 +340,6 @@ def test_nothing_found_is_said_with_what_could_be_driven(nothing):
     assert [name for name, _ in likeliest(document | {"candidates": near})] == ["speed"]
     made = Calibrated(document | {"candidates": near}, nothing.found, None, LEVEL)
     assert "speed: the same line at several speeds" in shown(report_page(made))
-
-
-def test_pages_have_no_private_word(turning, nothing):
-    for made in (turning, nothing):
-        assert [match[0] for match in PRIVATE.finditer(shown(report_page(made)))] == []
-        assert [match[0] for match in PRIVATE.finditer("\n".join(summary_lines(made.document)))] == []
-
-
-def test_colour_scales_of_changes_contain_zero_and_do_not_dramatise():
-    least = 100.0 * LEAST_SPAN
-    assert change_scale(0.1, 0.4, 100.0) == ("Reds", 0.0, least)  # 0.4 of 100 J/m stays pale
-    assert change_scale(-0.4, -0.1, 100.0) == ("Blues_r", -least, 0.0)
-    assert change_scale(-0.1, 0.4, 100.0) == ("RdBu_r", -least, least)
-    assert change_scale(5.8, 46.6, 100.0) == ("Reds", 0.0, 46.6)
-    assert change_scale(-20.0, 10.0, 100.0) == ("RdBu_r", -20.0, 20.0)
-    assert change_scale(-30.0, -10.0, 100.0) == ("Blues_r", -30.0, 0.0)
-    assert change_scale(0.0, 0.0, 0.0)[2] > 0.0
-
-
-def test_former_keys_are_kept_beside_todays():
-    old = with_former_keys({"test_set": {"error": 2}, "next_drive": {"confounded_with": ["a"]}})
-    assert old["kept_aside"] == old["test_set"]
-    assert old["next_drive"]["tells_from"] == ["a"]
-    assert set(old) == {"test_set", "kept_aside", "next_drive"}
 
 
 LEVEL = Heightmap(np.zeros((120, 120), dtype=np.float32), GridFrame(0.0, 60.0, 0.5, 120, 120))

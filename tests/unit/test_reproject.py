@@ -7,7 +7,8 @@ from rasterio.transform import Affine
 
 from joulemap.model.errors import HeightmapError, TooLargeError
 from joulemap.model.terrain.plausible import heightmap_warnings
-from joulemap.model.terrain.readers import open_ground, read_heightmap
+from joulemap.model.terrain.readers import open_ground
+from joulemap.service.library.heightmaps import read_heightmap
 from tests.reference.dems import CASES, COLS, ROWS, SECOND, beside_gdal, judged, made
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import networkx as nx
@@ -19,9 +18,9 @@ from joulemap.planner.objectives.power_limit import within_power
 from joulemap.planner.objectives.risk import Aim, LeastQuantile, MostLikely, Priced, least
 from joulemap.planner.objectives.weighing import Weighing, weighed
 from joulemap.planner.route import price_route
-from joulemap.planner.route_planner import RoutePlanner
-from joulemap.service.objectives import Objective, Weighed, plan_by
-from joulemap.service.route_uncertainty import odds_along
+from joulemap.planner.route_planner import RouteOptions, RoutePlanner
+from joulemap.service.analysis.objectives import Objective, Weighed, plan_by
+from joulemap.service.analysis.route_uncertainty import odds_along
 from tests.reference.lattices import plane_lattice, random_lattice
 
 AIMS = [LeastQuantile(1.7, 0.1, 0.05), LeastQuantile(2.5), MostLikely(900.0, 0.1), MostLikely(900.0, 0.0, 0.06)]
@@ -126,10 +125,10 @@ def test_by_its_objective_a_route_is_never_worse_than_the_cheapest(seed: int, co
     lattice = patchy(rng, 24, 24)
     planner = RoutePlanner(known(lattice, lattice.std_j[..., 0], run_std_share=common))
     ends = [tuple(float(v) for v in planner.lattice.frame.xy(*rng.uniform(1.0, 22.0, 2))) for _ in range(2)]
-    mean = planner.plan(*ends, snap=True).route
+    mean = planner.plan(*ends, RouteOptions(snap=True)).route
     for objective in (Objective("quantile", 0.9), Objective("arrival")):
         battery = Battery(280.0, charge=min(1.3 * mean.energy_j / 3600.0 / 280.0, 1.0))
-        found = plan_by(planner, *ends, objective, battery=battery, snap=True)
+        found = plan_by(planner, *ends, objective, RouteOptions(snap=True), battery=battery)
         said = Weighed(**found.details["objective"])
         if objective.name == "quantile":
             assert said.quantile_j <= said.mean_quantile_j
@@ -147,7 +146,7 @@ def test_no_path_is_below_the_bound_where_runs_have_their_deviations_in_common(s
     lattice = known(lattice, lattice.std_j[..., 0], run_share=0.02, correlation_m=0.5, run_std_share=0.5)
     planner = RoutePlanner(lattice)
     ends = tuple(tuple(float(v) for v in lattice.frame.xy(*place)) for place in ((1.0, 1.0), (6.0, 6.0)))
-    found = plan_by(planner, *ends, Objective("quantile", 0.9), refine=False, neighbours=8, snap=True)
+    found = plan_by(planner, *ends, Objective("quantile", 0.9), RouteOptions(refine=False, neighbours=8, snap=True))
     said = Weighed(**found.details["objective"])
     base = planner._table(8, distance=False)
     graph = nx.DiGraph()
@@ -168,8 +167,8 @@ def test_where_errors_are_a_share_of_the_energy_the_routes_are_the_same() -> Non
     lattice = random_lattice(np.random.default_rng(1), 24, 24)
     planner = RoutePlanner(known(lattice, np.zeros((24, 24))))
     ends = tuple(tuple(float(v) for v in lattice.frame.xy(*place)) for place in ((2.0, 2.0), (20.0, 21.0)))
-    found = plan_by(planner, *ends, Objective("quantile"), snap=True)
-    assert np.array_equal(found.route.points, planner.plan(*ends, snap=True).route.points)
+    found = plan_by(planner, *ends, Objective("quantile"), RouteOptions(snap=True))
+    assert np.array_equal(found.route.points, planner.plan(*ends, RouteOptions(snap=True)).route.points)
     assert found.details["objective"]["searches"] == 1
 
 
@@ -203,17 +202,3 @@ def test_what_cannot_be_weighed_is_refused() -> None:
         plan_by(planner, *ends, Objective("quantile"))
     with pytest.raises(InputError, match="needs a battery"):
         plan_by(RoutePlanner(known(planner.lattice, np.zeros((9, 9)))), *ends, Objective("arrival"))
-    with pytest.raises(InputError, match="give one of mean, quantile, arrival"):
-        Objective("fastest")
-    with pytest.raises(InputError, match="share of drives"):
-        Objective("quantile", math.nan)
-
-
-def test_from_a_place_to_itself_takes_nothing() -> None:
-    planner = RoutePlanner(known(plane_lattice(9, 9, robot=Robot()), np.ones((9, 9))))
-    here = (4.5, 4.5)
-    assert plan_by(planner, here, here, Objective("quantile")).details["objective"]["quantile_j"] == 0.0
-    for charge, likely in ((0.5, 1.0), (0.1, 0.0)):
-        battery = Battery(280.0, charge=charge, reserve=0.2)
-        said = plan_by(planner, here, here, Objective("arrival"), battery=battery).details["objective"]
-        assert said["probability"] == likely

@@ -120,15 +120,6 @@ def test_a_charge_in_per_cent_is_refused_with_what_to_write(key: str) -> None:
         Battery(280.0, **{key: -0.1})
 
 
-def test_robots_and_batteries_print_in_words_and_units() -> None:
-    words = str(Robot(name="mule", mass_kg=80.0, regeneration=0.3))
-    assert words.startswith(
-        "Robot mule: 80 kg, 0.55 m wide, 0.6 m long, wheels of 0.127 m radius, 0.5 m/s, battery 280 Wh"
-    )
-    assert "regeneration 0.3" in words
-    assert str(Battery(280.0, charge=0.6)) == "Battery of 280 Wh, charge 60 %, reserve 0 %"
-
-
 @pytest.mark.parametrize(
     ("values", "named"), [({"charge": "60%"}, "charge is '60%'"), ({"capacity_wh": None}, "capacity_wh")]
 )

@@ -105,6 +105,16 @@ def test_three_campaigns_leave_the_offset_uncertain() -> None:
     assert found.groups == 3
 
 
+def test_errors_of_neighbours_make_up_for_each_other_on_many_runs_only() -> None:
+    """Half of each error is taken back on the next metre, as by a slow meter."""
+    for runs, known in ((4, False), (ENOUGH, True)):
+        measured, predicted, std, run = drives(offsets=0.15 * np.random.default_rng(8).standard_normal(runs))
+        own = measured - predicted * (measured.reshape(runs, -1).sum(1) / predicted.reshape(runs, -1).sum(1))[run]
+        spread = fit_spread(measured - 0.5 * np.roll(own, 1), predicted, std, run)
+        assert (spread.correlation_m < 0.8) == known
+        assert known or (spread.correlation_m >= 1.0 and spread.run_freedom == runs - 1)
+
+
 def test_the_freedom_of_a_sum_lies_between_those_of_its_parts() -> None:
     spread = Spread(run_share=0.1, freedom=30.0, run_freedom=4.0)
     _, freedom = spread.along(np.full(200, 50.0), np.full(200, 10.0))

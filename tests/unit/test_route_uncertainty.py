@@ -19,9 +19,10 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.route import price_route
+from joulemap.planner.route_planner import RoutePlanner
 from joulemap.planner.verdict.budget import judge, judge_along
-from joulemap.service.feasibility import assess
-from joulemap.service.route_uncertainty import odds_along, odds_of_energies
+from joulemap.service.analysis.feasibility import assess
+from joulemap.service.analysis.route_uncertainty import odds_along, odds_of_energies
 
 INDEPENDENT = Spread(run_share=0.0, correlation_m=1.0)
 
@@ -94,7 +95,8 @@ def test_an_error_of_the_whole_run_may_grow_with_the_deviations() -> None:
 def test_the_way_back_shares_the_error_of_the_run() -> None:
     """16 m there and back at 20 J/m are 640 J, of which a tenth, and 32 independent metres of 3 J."""
     lattice = level(Spread(run_share=0.1, correlation_m=1.0))
-    verdict = assess(lattice, battery=Battery(1.0), path=[(5.0, 20.0), (21.0, 20.0)], round_trip=True).verdict
+    planner, there = RoutePlanner(lattice), [(5.0, 20.0), (21.0, 20.0)]
+    verdict = assess(planner, battery=Battery(1.0), path=there, round_trip=True).verdict
     assert verdict.energy_j == pytest.approx(640.0, rel=1e-5)
     assert verdict.energy_std_j == pytest.approx(math.hypot(64.0, 3.0 * math.sqrt(32.0)), rel=1e-5)
     assert verdict.probability == 0.99  # 40 standard deviations: at least 0.99 is all that is known
@@ -143,20 +145,11 @@ def test_beyond_1_and_99_percent_no_probability_is_given(energy_j, std_j, limit,
         assert f"probability that it lasts: {words}" in str(verdict)
 
 
-def test_a_verdict_prints_as_one_sentence_with_units() -> None:
-    feasible, short = judge(1800.0, Battery(1.0, charge=0.9), std_j=360.0), judge(5400.0, Battery(1.0))
-    assert repr(feasible) == (
-        "Verdict(feasible: 0.50 +- 0.10 Wh needed, 0.90 Wh available above the reserve, "
-        "probability that it lasts: more than 99 %, 0.40 Wh to spare; charge at the end 40.0%)"
-    )
-    assert str(short) == "not feasible: 1.50 Wh needed, 1.00 Wh available above the reserve, 0.50 Wh short"
-
-
 @pytest.mark.parametrize("bias", [0.0, 0.1])
 def test_the_sentence_of_a_verdict_has_the_mean_and_no_second_number(bias: float) -> None:
     """16 m at 20 J are 0.0889 Wh, whatever the median of the distribution is: that is in `energy_p50_j`."""
     lattice = level(Spread(run_share=0.05, correlation_m=1.0, bias=bias))
-    verdict = assess(lattice, battery=Battery(1.0), path=[(5.0, 20.0), (21.0, 20.0)]).verdict
+    verdict = assess(RoutePlanner(lattice), battery=Battery(1.0), path=[(5.0, 20.0), (21.0, 20.0)]).verdict
     assert "expected 0.0889 Wh (90 % between " in verdict.verdict_text
     assert verdict.energy_p50_j == pytest.approx((1.0 + bias) * 320.0)
 

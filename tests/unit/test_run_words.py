@@ -1,6 +1,6 @@
 """Counts, quantities and numbers of runs in words."""
 
-from joulemap.model.runs.words import count_words, number_words, quantity_name
+from joulemap.model.runs.words import count_words, number_words
 
 
 def test_counts_of_logs_are_said_in_words():
@@ -13,12 +13,6 @@ def test_counts_of_logs_are_said_in_words():
         "2 repeated positions, 1 voltage spike, 3 current left spikes, 5 rows without current, "
         "4 rows that repeat a reading of current"
     )
-
-
-def test_names_of_columns():
-    assert quantity_name("column:rain") == "rain"
-    assert quantity_name("column:temperature") == "temperature"
-    assert quantity_name("position_index") == "topographic position index"
 
 
 def test_numbers_have_three_digits_and_no_exponent_for_thousands():

@@ -279,17 +279,6 @@ def test_runs_are_put_together_and_taken_out_whole():
         concatenate_segments([])
 
 
-def test_segments_cannot_be_changed():
-    segments = cut_segments(line())
-    with pytest.raises(ValueError, match="read-only"):
-        segments.x[0] = 0.0
-
-
-def test_a_length_must_be_positive():
-    with pytest.raises(InputError, match="positive"):
-        cut_segments(line(), length_m=0.0)
-
-
 def test_a_robot_that_is_carried_does_not_drive():
     t = np.arange(0.0, 60.0, 0.1)
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from joulemap.model.energy.shape_regression import FEATURES, RidgeBaseline, shape_features
+from joulemap.model.energy.shape_features import FEATURES, shape_features
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
+from tests.paper.ridge import RidgeBaseline
 
 ROBOT = Robot(width_m=0.5)
 FRAME = GridFrame(0.0, 12.0, 0.1, 120, 120)

@@ -17,9 +17,9 @@ from joulemap.model.loop.forms.speed import Speed
 from joulemap.model.loop.terms import Term
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.objectives.speed_profile import speed_profile
+from joulemap.service.analysis.speeds import known_speeds, speeds_along
 from joulemap.service.library.costmaps import CostMap
 from joulemap.service.models import find_predictor
-from joulemap.service.speeds import known_speeds, speeds_along
 
 DRAG = 6.0  # J/m per (m/s)^2
 PLAIN = jm.heightmap(np.zeros((40, 60), np.float32), resolution_m=0.5)

@@ -99,12 +99,6 @@ def test_outliers_have_no_say(driven: tuple) -> None:
     assert np.sqrt(np.nanmean(error**2)) < 0.02
 
 
-def test_the_order_of_the_points_does_not_matter(driven: tuple) -> None:
-    order = np.random.default_rng(2).permutation(driven[0].size)
-    shuffled = fit_surface(*(a[order] for a in driven))
-    np.testing.assert_allclose(shuffled.heights, fit_surface(*driven).heights, atol=1e-5)
-
-
 @pytest.mark.parametrize(("smoothing_m", "kept"), [(1.0, 16 / 17), (2.0, 1 / 2), (4.0, 1 / 17)])
 def test_smoothing_keeps_long_waves_and_drops_short_ones(smoothing_m: float, kept: float) -> None:
     """Closed form of a smoothing spline: 1 / (1 + (L / wavelength)^4); the knots take a little more."""

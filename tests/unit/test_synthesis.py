@@ -63,15 +63,6 @@ def test_the_steepest_slope_is_what_the_recipe_says(max_slope_deg: float, tilt_d
     assert slopes.max() == pytest.approx(max_slope_deg, rel=0.01)
 
 
-def test_tilt_climbs_towards_its_heading() -> None:
-    plane = landforms.tilted_plane(SITE, slope_rad=math.radians(10.0), heading_rad=math.radians(60.0))
-    heightmap = Heightmap(plane, SITE)
-    step = np.array([math.sin(math.radians(60.0)), math.cos(math.radians(60.0))])
-    start = np.array([20.0, 20.0])
-    climb = heightmap.sample(*(start + step)) - heightmap.sample(*start)
-    assert climb == pytest.approx(math.tan(math.radians(10.0)), abs=1e-5)
-
-
 def test_fractal_has_its_rms_and_its_spectrum() -> None:
     frame = GridFrame(0.0, 256.0, 0.5, 512, 512)
     surface = landforms.fractal(frame, rng(), exponent=3.0, rms_m=0.2, longest_m=20.0)
@@ -84,11 +75,6 @@ def test_fractal_has_its_rms_and_its_spectrum() -> None:
     fitted = np.polyfit(np.log(np.sqrt(edges[:-1] * edges[1:])), np.log(means), 1)[0]
     assert fitted == pytest.approx(-3.0, abs=0.2)
     assert power[k < 1 / 40.0].mean() < 0.05 * power[(k > 1 / 20.0) & (k < 1 / 10.0)].mean()
-
-
-def test_no_wave_that_fits_is_refused() -> None:
-    with pytest.raises(InputError, match="no wave"):
-        landforms.fractal(SITE, rng(), exponent=3.0, rms_m=1.0, longest_m=0.1, shortest_m=5_000.0)
 
 
 def test_furrows_run_along_their_heading() -> None:
@@ -117,13 +103,6 @@ def test_tracks_are_pairs_of_ruts() -> None:
     assert ndimage.label(surface < -0.04)[1] == 2
 
 
-def test_a_square_kilometre_is_made() -> None:
-    frame = GridFrame(0.0, 1000.0, 1.0, 1000, 1000)
-    heightmap = make_terrain(HILLSIDE, frame, rng())
-    assert heightmap.frame.shape == (1000, 1000)
-    assert 10.0 < np.median(slopes_deg(heightmap)) < 20.0
-
-
 @pytest.mark.parametrize(
     "values",
     [
@@ -149,12 +128,6 @@ def test_the_sample_terrain_has_a_knoll_between_start_and_goal_and_a_pond() -> N
     unknown = np.isnan(heightmap.heights)
     assert ndimage.label(unknown)[1] == 1
     assert 0.001 < unknown.mean() < 0.01
-
-
-def test_a_survey_at_the_same_resolution_without_blur_is_the_terrain() -> None:
-    heightmap = make_terrain(PARK, SITE, rng())
-    same = degrade(heightmap, SurveyQuality(0.1), rng=rng())
-    np.testing.assert_allclose(same.heights, heightmap.heights, atol=1e-6)
 
 
 @pytest.mark.parametrize("resolution_m", [0.2, 0.25, 0.37, 1.0])

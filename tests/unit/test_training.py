@@ -84,13 +84,6 @@ def test_same_seed_same_weights_and_resuming_changes_nothing(tmp_path):
         train(seed=6, checkpoint=checkpoint)
 
 
-def test_the_papers_network_repeats_itself_too():
-    _, _, examples = driven(8, architecture="resnet18")
-    options = TrainingOptions(epochs=1, batch=8, learning_rate=1e-4, loss="mse")
-    one, other = (train_network(examples, architecture="resnet18", seed=5, options=options).net for _ in range(2))
-    assert same_weights(one, other)
-
-
 def test_a_last_patch_alone_is_no_batch():
     _, _, examples = driven(6, architecture="resnet18")  # 32 x 32 patches end as one value per channel
     options = TrainingOptions(epochs=1, batch=2, learning_rate=1e-4)
@@ -137,18 +130,6 @@ def test_fine_tuning_starts_from_what_is_known_and_leaves_it_alone():
     assert all(torch.equal(kept[key], value) for key, value in known.net.state_dict().items())
     with pytest.raises(ModelError):
         train_network(examples, architecture="compact", start_from=ResNetEnergy(), options=SHORT)
-
-
-def test_a_frozen_backbone_stays():
-    _, _, examples = driven(8, architecture="resnet18")
-    torch.manual_seed(0)
-    start = ResNetEnergy()
-    options = TrainingOptions(epochs=1, batch=8, learning_rate=1e-2, freeze_backbone=True, loss="mse")
-    net = train_network(examples, architecture="resnet18", start_from=start, options=options).net
-    assert all(
-        torch.equal(a, b)
-        for a, b in zip(start.backbone.state_dict().values(), net.backbone.state_dict().values(), strict=True)
-    )
 
 
 def test_errors_by_hand():

@@ -15,7 +15,7 @@ import joulemap as jm
 from joulemap.model.errors import InputError, RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.names import LIKELY, NAMED, candidate
-from joulemap.model.runs.reader import parse_run
+from joulemap.model.runs.reader import parse_run, read_run
 from joulemap.model.runs.without_map import ground_of_profile
 from joulemap.service.cli import app
 
@@ -202,6 +202,84 @@ def test_a_drive_without_positions_is_compared_on_a_strip_with_its_heights():
         jm.evaluate(runs=PLAIN, model="physics")
 
 
+def test_tables_of_one_recording_are_one_log(tmp_path):
+    """As tools write bags: a file for each topic, of its own rate, with the same stamps and other columns."""
+    slow = np.arange(ROWS) % 4 == 0
+    odom = {"timestamp": 1e6 * T, "seq": np.arange(ROWS), "x": X, "y": PLAIN["y"]}
+    odom["heading"] = np.full(ROWS, 90.0)
+    battery = {
+        key: values[slow] for key, values in {"timestamp": 1e6 * T, "seq": T, "Volt": VOLTS, "Curr": AMPS}.items()
+    }
+    battery["U"] = np.ones(slow.sum())
+    texts = {"odom.csv": lines(odom, digits=3), "battery.csv": lines(battery)}
+
+    def _zip(files):
+        out = io.BytesIO()
+        with zipfile.ZipFile(out, "w") as archive:
+            for name, rows in files.items():
+                archive.writestr(f"drive/{name}", "\n".join(rows) + "\n")
+        return out.getvalue()
+
+    (tmp_path / "r.zip").write_bytes(_zip(texts))
+    assert CliRunner().invoke(app, ["import", str(tmp_path / "r.zip"), "--out", str(tmp_path / "out")]).exit_code == 0
+    as_it_was(read_run(tmp_path / "out" / "r.csv"))
+    (tmp_path / "drive").mkdir()
+    for name, rows in texts.items():
+        (tmp_path / "drive" / name).write_text("\n".join(rows) + "\n")
+    as_it_was(read_run(tmp_path / "drive"))
+    with pytest.raises(RunsError, match="holds several logs: a and b have the same columns"):
+        parse_run(_zip({"a.csv": lines(PLAIN), "b.csv": lines(PLAIN)}), name="r.zip")
+    with pytest.raises(RunsError, match="several files of the same name"):
+        parse_run(_zip({"a/log.csv": lines(PLAIN), "b/log.csv": lines(PLAIN)}), name="r.zip")
+    other = lines({"when": T, "voltage": VOLTS, "current": AMPS})
+    for wrong in (1e3 * T, 1e6 * T + 1e12):  # ms beside us, and another day
+        late = lines({**battery, "timestamp": wrong[slow]})
+        with pytest.raises(RunsError, match=r"`timestamp` is not one clock: .* in battery"):
+            parse_run(_zip({"odom.csv": texts["odom.csv"], "battery.csv": late}), name="r.zip")
+    with pytest.raises(RunsError, match="no column of time in common"):
+        parse_run(_zip({"odom.csv": texts["odom.csv"], "battery.csv": other}), name="r.zip")
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_on_a_way_down_the_voltage_tells_which_sign_discharges(sign):
+    """In most rows the battery is charged, though more is drawn in sum: it falls under load, whatever the sign."""
+    amps = np.where(np.sin(T / 9.0) > 0.3, 9.0, -4.0) + np.sin(3.0 * T)
+    assert np.median(amps) < 0 < np.trapezoid(amps, T)
+    run = read(without(voltage=48.0 - 0.05 * amps, current=sign * amps))
+    assert np.trapezoid(run.current_a, run.t) == pytest.approx(np.trapezoid(amps, T), rel=0.05)
+
+
+@pytest.mark.parametrize("position", [{"x": np.full(ROWS, 5e5), "y": np.full(ROWS, 4e6)}, {"lat": 0 * T, "lon": 0 * T}])
+def test_positions_without_a_fix_do_not_replace_the_wheels(position):
+    """The speed is in km/h, which the distance tells."""
+    run = read(without("x", "y", speed=np.full(ROWS, 3.6 * 1.8), distance=np.floor(X - X[0]), **position))
+    as_it_was_driven(run)
+    assert any("positions are the same in every row" in note for note in run.notes)
+
+
+@pytest.mark.parametrize("standing", [{"lat": 45.0 + 0 * T, "lon": 8.0 + 0 * T}, {"x": 0 * T, "y": 0 * T}])
+def test_positions_without_a_fix_do_not_replace_others(standing):
+    east = np.degrees((X - X[0]) / (6.378e6 * np.cos(np.radians(45.0))))
+    moving = {"x": X, "y": PLAIN["y"]} if "lat" in standing else {"latitude": 45.0 + 0 * T, "longitude": 8.0 + east}
+    run = read(without("x", "y", **standing, **moving), crs="EPSG:32632", digits=8)
+    as_it_was(run)
+    assert any("positions are the same in every row" in note for note in run.notes)
+
+
+def test_an_odometer_in_another_unit_does_not_replace_the_speed():
+    as_it_was_driven(read(without("x", "y", **{"speed [m/s]": np.full(ROWS, 1.8), "odometer": (X - X[0]) / 1609.0})))
+
+
+def test_a_date_in_whole_minutes_gives_way_to_a_finer_time():
+    minutes = [f"30/01/2020 {8 + int(t) // 3600:02d}:{int(t) // 60 % 60:02d}" for t in T]
+    as_it_was(read({"Date/Time": minutes, **without("t"), "epoch time": 1_580_371_200 + T}))
+
+
+def as_it_was_driven(run):
+    assert run.energy()[0] == pytest.approx(JOULES, rel=0.01)
+    assert np.ptp(run.y) == pytest.approx(METRES, rel=0.01)
+
+
 def test_a_packed_log_is_unpacked_within_bounds():
     text = "\n".join(lines(PLAIN)).encode()
 
@@ -214,7 +292,7 @@ def test_a_packed_log_is_unpacked_within_bounds():
 
     as_it_was(parse_run(gzip.compress(text), name="r.csv.gz"))
     as_it_was(parse_run(_zip(log=text), name="r.zip"))
-    with pytest.raises(RunsError, match="holds a, b: unpack it, and give one log"):
+    with pytest.raises(RunsError, match="holds several logs: a and b have the same columns"):
         parse_run(_zip(a=text, b=text), name="r.zip")
     with pytest.raises(RunsError, match="is a spreadsheet: save the sheet as CSV"):
         parse_run(_zip(**{"[Content_Types].xml": "x", "sheet": "y"}), name="r.xlsx")

@@ -17,12 +17,9 @@ if TYPE_CHECKING:  # torch takes seconds to load, and not every architecture nee
     from torch import Tensor, nn
 
     from joulemap.model.energy.architectures.network import Network
-    from joulemap.model.energy.domain import Domain
-    from joulemap.model.energy.drive_costs import DriveCosts
     from joulemap.model.energy.examples import Examples, FloatArray
-    from joulemap.model.energy.learned import Learned
+    from joulemap.model.energy.learned import Facts, Learned
     from joulemap.model.energy.tensors import ExampleTensors, NetworkOutput
-    from joulemap.model.energy.uncertainty import Spread
     from joulemap.model.terrain.heightmap import Heightmap
 
 Net = TypeVar("Net", bound="Network")
@@ -78,12 +75,15 @@ class Architecture(ABC, Generic[Net]):
         Segments that one pass may judge without filling the memory.
     training : TrainingDefaults
         How its networks are trained on measured runs.
+    shape_free : bool
+        Whether `adapted` can leave rolling and climbing alone, which runs without a map are enough for.
     """
 
     name: ClassVar[str]
     size: ClassVar[int]
     at_once: ClassVar[int] = 256
     training: ClassVar[TrainingDefaults] = TrainingDefaults()
+    shape_free: ClassVar[bool] = False
 
     @abstractmethod
     def build(self, config: Mapping[str, Any], *, size: int) -> Net:
@@ -311,35 +311,15 @@ class Architecture(ABC, Generic[Net]):
         """
         raise InputError(f"{path}: the architecture {self.name} has no backbone that weights could be read for")
 
-    def predictor(
-        self,
-        net: Net,
-        domain: Domain,
-        provenance: Mapping[str, Any],
-        *,
-        size: int,
-        name: str,
-        spread: Spread,
-        costs: DriveCosts,
-    ) -> Learned:
+    def predictor(self, net: Net, facts: Facts) -> Learned:
         """Make a predictor of a trained network.
 
         Parameters
         ----------
         net : Network
             Of this architecture.
-        domain : Domain
-            What it was trained on.
-        provenance : mapping
-            What the predictor says of itself, JSON-able.
-        size : int
-            Rows and columns of its input.
-        name : str
-            What the model is called.
-        spread : Spread
-            Its errors on held-out runs.
-        costs : DriveCosts
-            Of turning, time and speeding up, beyond straight driving.
+        facts : Facts
+            What is known of it beside its weights.
 
         Returns
         -------
@@ -348,7 +328,7 @@ class Architecture(ABC, Generic[Net]):
         """
         from joulemap.model.energy.segment_predictor import SegmentPredictor
 
-        return SegmentPredictor(self, net, domain, provenance, size=size, name=name, spread=spread, costs=costs)
+        return SegmentPredictor(self, net, facts)
 
     def read(self, config: Mapping[str, Any], weights: Mapping[str, NDArray[Any]], *, size: int) -> Net:
         """Make a network with given weights.
@@ -382,16 +362,7 @@ class Architecture(ABC, Generic[Net]):
         return net.eval()
 
     def predictor_of_weights(
-        self,
-        config: Mapping[str, Any],
-        weights: Mapping[str, NDArray[Any]],
-        domain: Domain,
-        provenance: Mapping[str, Any],
-        *,
-        size: int,
-        name: str,
-        spread: Spread,
-        costs: DriveCosts,
+        self, config: Mapping[str, Any], weights: Mapping[str, NDArray[Any]], facts: Facts
     ) -> Learned:
         """Make a predictor of the weights of a trained network, as they lie in its file.
 
@@ -401,8 +372,8 @@ class Architecture(ABC, Generic[Net]):
         ----------
         config, weights : mapping
             As of `read`.
-        domain, provenance, size, name, spread, costs : Domain, mapping, int, str, Spread, DriveCosts
-            As of `predictor`.
+        facts : Facts
+            What is known of the network beside its weights.
 
         Returns
         -------
@@ -414,8 +385,7 @@ class Architecture(ABC, Generic[Net]):
         ModelError
             If the weights are those of another network.
         """
-        net = self.read(config, weights, size=size)
-        return self.predictor(net, domain, provenance, size=size, name=name, spread=spread, costs=costs)
+        return self.predictor(self.read(config, weights, size=facts.size), facts)
 
 
 def check_start(architecture: Architecture[Any], start_from: Network | None) -> None:

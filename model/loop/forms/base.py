@@ -48,8 +48,6 @@ class Form:
         Values of each setting that are worth a test, in all combinations.
     pooled : bool
         Whether its coefficients are those of classes, of which a little known one is like the others.
-    tuned : int
-        Number of settings that the choice among its variants fits to the runs.
     """
 
     key: ClassVar[str]
@@ -68,7 +66,6 @@ class Form:
     covariates: ClassVar[tuple[str, ...]] = ()
     options: ClassVar[Mapping[str, Sequence[Any]]] = {}
     pooled: ClassVar[bool] = False
-    tuned: ClassVar[int] = 0
 
     @property
     def name(self) -> str:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray
 
+_DATED_S = 1e8  # a stamp above this is a date; below it counts from the start of something
 _LEAST_RUNS = 2  # before and after a step: one run that differs is a run that differs
 
 
@@ -48,4 +50,9 @@ class Change(Form):
             yield cls(float(first[k]), k + 1)
 
     def where(self, coefficients: tuple[float, ...]) -> str:
-        return f"from run {self.run} on (stamp {self.from_s:.0f} s): look at the robot"
+        (share,) = coefficients
+        stamp = f"stamp {self.from_s:.0f} s"
+        if self.from_s > _DATED_S:
+            stamp = f"{datetime.fromtimestamp(self.from_s, UTC):%Y-%m-%d %H:%M} UTC"
+        much = f"{abs(share):.0%}".replace("%", " %")
+        return f"from run {self.run} on ({stamp}): {much} {'more' if share > 0.0 else 'less'}, look at the robot"

@@ -47,8 +47,6 @@ class SimpleCosts(Form):
         return np.stack([np.nan_to_num(_COLUMNS[name][2](rows)) for name in self.names], axis=1)
 
     def fitted(self, rows: Residuals) -> tuple[float, ...]:
-        """Fit it by least squares."""
-        metres = rows.take(rows.moving)
-        x = self.columns(metres.features)
+        """Fit it by least squares to metres and stops."""
         low = np.array([_COLUMNS[name][1] for name in self.names])
-        return tuple(lsq_linear(x, metres.measured, bounds=(low, np.inf)).x.tolist())
+        return tuple(lsq_linear(self.columns(rows.features), rows.measured, bounds=(low, np.inf)).x.tolist())

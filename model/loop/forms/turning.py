@@ -7,25 +7,21 @@ from dataclasses import dataclass
 
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray
-from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 
 @dataclass(frozen=True)
 class Turning(Form):
-    """Turning to either side, up to a rate or a curvature at which scrubbing saturates.
+    """Turning to either side, up to a curvature at which scrubbing saturates.
 
     Reference: Morales et al. 2009, "Power consumption modeling of skid-steer tracked mobile robots on rigid terrain".
 
     Attributes
     ----------
-    limit_radps : float, optional
-        Rate above which a faster turn takes no more power [rad/s]; one of `TURN_LIMITS_RADPS`. Without it every radian
-        costs the same.
     limit_per_m : float, optional
-        Curvature above which a tighter turn takes no more current from motors [rad/m].
+        Curvature above which a tighter turn takes no more current from motors [rad/m]. Without it every radian costs
+        the same.
     """
 
-    limit_radps: float | None = None
     limit_per_m: float | None = None
 
     key = "turning"
@@ -36,28 +32,17 @@ class Turning(Form):
     covariates = ("turning",)
     low = 0.0
 
-    @property
-    def tuned(self) -> int:  # type: ignore[override]
-        return int(self.limit_radps is not None or self.limit_per_m is not None)
-
     def column(self, rows: Features) -> FloatArray:
-        if self.limit_radps is not None:
-            return rows.gentle_turn_rad[:, TURN_LIMITS_RADPS.index(self.limit_radps)]
         return rows.slowness * rows.turned_up_to(self.limit_per_m)
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
         if rows.drives.motor_speed_mps is None:
             yield cls()
-            yield from (cls(limit) for limit in TURN_LIMITS_RADPS)
         else:
-            yield from (cls(limit_per_m=round(share * rows.pivot_per_m, 6)) for share in (1.0, 0.5, 2.0))
+            yield from (cls(round(share * rows.pivot_per_m, 6)) for share in (1.0, 0.5, 2.0))
 
     def where(self, coefficients: tuple[float, ...]) -> str:
-        if self.limit_radps is not None:
-            return (
-                f"everywhere; a turn faster than {self.limit_radps:g} rad/s takes no more power than one at that rate"
-            )
-        if self.limit_per_m is not None:
-            return f"everywhere; a curve of a radius below {1.0 / self.limit_per_m:.2g} m takes no more current"
-        return "everywhere"
+        if self.limit_per_m is None:
+            return "everywhere"
+        return f"everywhere; a curve of a radius below {1.0 / self.limit_per_m:.2g} m takes no more current"

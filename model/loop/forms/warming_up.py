@@ -37,7 +37,6 @@ class WarmingUp(Form):
     covariates = ("since_start",)
     low = 0.0
     planned = False
-    tuned = 1
 
     def column(self, rows: Features) -> FloatArray:
         return rows.work_m * rows.pulling * np.exp(-rows.since_s / self.time_s)

@@ -15,20 +15,28 @@ from joulemap.model.errors import RunsError
 from joulemap.model.recordings.places import on_disk
 from joulemap.model.runs.formats.contract import Log, Stream, mentioned
 from joulemap.model.runs.formats.finite import FiniteMap, fill_at, filled
-from joulemap.model.runs.formats.messages import Collector, cut_off, log_of, reading
+from joulemap.model.runs.formats.messages import Collector, cut_off, fields_by_kind, log_of, reading, wanted_of
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
 
 _MAGIC = b"\xa3\x95\x80"  # the first message describes the format of such messages
 _TEXT = b"FMT, 128, 89"  # the same as text
-_KINDS = {
-    "BAT": ("Volt", "Curr"),
-    "CURR": ("Volt", "Curr"),
-    "GPS": ("Lat", "Lng", "Alt", "Spd", "Status"),
-    "POS": ("Lat", "Lng", "Alt"),
-    "ATT": ("Roll", "Pitch", "Yaw"),
-    "XKF1": ("PN", "PE", "PD"),
-}
+_WANTED = wanted_of(
+    {
+        "voltage": "BAT.Volt:V CURR.Volt:V",
+        "current": "BAT.Curr:A CURR.Curr:A",
+        "lat": "POS.Lat:deg GPS.Lat:deg",
+        "lon": "POS.Lng:deg GPS.Lng:deg",
+        "x": "XKF1.PE:m",
+        "y": "XKF1.PN:m",
+        "z": "POS.Alt:m GPS.Alt:m",
+        "heading": "ATT.Yaw:deg",
+        "roll": "ATT.Roll:deg",
+        "pitch": "ATT.Pitch:deg",
+        "speed": "GPS.Spd:m/s",
+    }
+)
+_FIELDS = fields_by_kind(_WANTED)
 _INSTANCES = ("Inst", "Instance", "I", "C")
 _MARK, _FORMAT, _FORMAT_BYTES = b"\xa3\x95", 0x80, 89
 _MOST_STRANGE = 100_000  # marks of no message, behind which no end is looked for
@@ -65,7 +73,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         try:
             log = (DFReader_text if text else _Reader)(str(path), zero_time_base=True)
             known = set(log.name_to_id)
-            wanted = [kind for kind in known if kind in _KINDS or any(_names(mapping, kind))]
+            wanted = [kind for kind in known if kind in _FIELDS or any(_names(mapping, kind))]
             if not wanted:
                 raise RunsError(
                     f"run {source.name}: the log has no messages BAT, GPS or POS; its kinds are "
@@ -77,9 +85,9 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
                 fields = message.get_fieldnames()
                 number = next((int(getattr(message, key)) for key in _INSTANCES if key in fields), 0)
                 topic = f"{kind}[{number}]" if number else kind
-                keys = fields if mentioned(mapping, topic) else [key for key in _KINDS.get(kind, ()) if key in fields]
+                keys = fields if mentioned(mapping, topic) else [key for key in fields if key in _FIELDS.get(kind, ())]
                 values = {key: float(v) for key in keys if isinstance(v := getattr(message, key), (int, float))}
-                if kind == "GPS" and values.get("Status", 3) < 2:  # no fix
+                if kind == "GPS" and getattr(message, "Status", 3) < 2:  # no fix
                     values |= {"Lat": math.nan, "Lng": math.nan, "Alt": math.nan}
                 if "TimeUS" in fields:
                     collector.add(topic, float(message.TimeUS) * 1e-6, values)
@@ -88,22 +96,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         finally:
             if log is not None:
                 log.close()
-    streams = collector.streams()
-    power = ("BAT", "CURR")
-    wanted_columns = {
-        "voltage": [(f"{kind}.Volt", "V") for kind in power],
-        "current": [(f"{kind}.Curr", "A") for kind in power],
-        "lat": [("POS.Lat", "deg"), ("GPS.Lat", "deg")],
-        "lon": [("POS.Lng", "deg"), ("GPS.Lng", "deg")],
-        "x": [("XKF1.PE", "m")],
-        "y": [("XKF1.PN", "m")],
-        "z": [("POS.Alt", "m"), ("GPS.Alt", "m")],
-        "heading": [("ATT.Yaw", "deg")],
-        "roll": [("ATT.Roll", "deg")],
-        "pitch": [("ATT.Pitch", "deg")],
-        "speed": [("GPS.Spd", "m/s")],
-    }
-    found = log_of(streams, wanted_columns, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
+    found = log_of(collector.streams(), _WANTED, notes=notes)
     meters = [stream for stream in found.streams if stream.name.startswith("BAT") and _counts(stream)]
     packs = tuple((f"{stream.name}.Volt", f"{stream.name}.Curr") for stream in meters)
     return replace(found, packs=packs if len(packs) > 1 else ())

@@ -14,6 +14,7 @@ import numpy as np
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.instants import seconds_of
 from joulemap.model.runs.table import LARGEST, LONGEST_NAME, FloatArray, TableLimits, TextArray
+from joulemap.model.runs.units import common_unit
 
 DATE, CLOCK = "date and time", "time of day"
 """Units of columns of seconds since 1970, and since midnight."""
@@ -24,6 +25,8 @@ _DEGREES = (
     r"^\s*(?P<minus>[-+])?(?P<d>\d{1,3})(?:\s+|\s*[°d:]\s*)(?P<m>\d{1,2}(?:[.,]\d+)?)"
     r"(?:(?:\s+|\s*['′m:]\s*)(?P<s>\d{1,2}(?:[.,]\d+)?)?)?\s*[\"″']*\s*(?P<side>[NSEWOnsewo])?\s*$"
 )
+_DECIMAL = r"[+-]?\d{1,3}\.\d{3,}"  # of degrees: fewer places are no position
+_PAIR = rf"^\s*(?P<point>POINT)?\s*[\[(]?\s*(?P<a>{_DECIMAL})\s*[ ,;]\s*(?P<b>{_DECIMAL})\s*[\])]?\s*$"
 _HALF = 0.5  # most cells
 
 
@@ -58,6 +61,8 @@ def stream_of(
             broken[column] = unread
             if unit:
                 said[column] = unit
+        elif (pair := _pair(values)) is not None:
+            numbers |= {f"{column} {axis}": each for axis, each in pair.items()}
         elif (words := _texts(values, limits)) is not None:
             texts[column] = words
     return Stream(title, numbers, texts, None, said, {key: count for key, count in broken.items() if count})
@@ -84,6 +89,21 @@ def _numbers(values: Any) -> tuple[FloatArray | None, str, int]:
     if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
         return None, "", 0
     return _of_words(values)
+
+
+def _pair(values: Any) -> dict[str, FloatArray] | None:
+    """Latitude and longitude in one cell, `48.137154 11.575382`, or the other way round in a POINT."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    if not (pa.types.is_string(values.type) or pa.types.is_large_string(values.type)):
+        return None
+    if _share(values.drop_null().slice(0, 1000), _PAIR) <= _HALF:
+        return None
+    parts = pc.extract_regex(values, _PAIR)
+    first, second = (_float(pc.struct_field(parts, key).cast(pa.float64())) for key in ("a", "b"))
+    point = bool(pc.any(pc.equal(pc.struct_field(parts, "point"), "POINT")).as_py())
+    return {"lon": first, "lat": second} if point else {"lat": first, "lon": second}
 
 
 def _of_categories(values: Any) -> tuple[FloatArray | None, str, int]:
@@ -122,10 +142,15 @@ def _of_words(values: Any) -> tuple[FloatArray | None, str, int]:
     sample = words.drop_null().slice(0, 1000)
     if _share(sample, _NUMBER) > _HALF:
         parts = pc.extract_regex(words, _NUMBER)
-        units = [u for u in pc.unique(pc.struct_field(parts, "unit")).to_pylist() if u]
-        if len(units) <= 1:
+        said = pc.utf8_trim_whitespace(pc.struct_field(parts, "unit"))
+        units = [u for u in pc.unique(said).to_pylist() if u]
+        unit, factors = (units[0] if units else "", []) if len(units) <= 1 else common_unit(units)
+        if len(units) <= 1 or unit:
             numbers = _float(_plain(pc.struct_field(parts, "number")).cast(pa.float64()))
-            return numbers, units[0].strip() if units else "", known - int(np.isfinite(numbers).sum())
+            if factors:  # `850 W`, `1.2 kW`
+                at = pc.fill_null(pc.index_in(said, pa.array(units)), len(units)).to_numpy(zero_copy_only=False)
+                numbers = numbers * np.array([*factors, 1.0])[at]
+            return numbers, unit, known - int(np.isfinite(numbers).sum())
     try:
         first = sample.to_pylist()[:20]
         if seconds_of(first, lenient=True)[1] > _HALF * len(first):

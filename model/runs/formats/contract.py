@@ -42,6 +42,8 @@ class Stream:
         Of columns, where the file gives them separately from the name.
     unread : dict of str to int
         By column of numbers, how many of its cells are none.
+    packs : tuple of (str, str)
+        Columns of the voltage and the current of batteries in parallel, where the file says so.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Stream:
     t: FloatArray | None = None
     units: dict[str, str] = field(default_factory=dict)
     unread: dict[str, int] = field(default_factory=dict)
+    packs: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,8 @@ class LogFormat:
     suffixes : tuple of str
         Usual endings of file names, in lower case with the dot.
     module : str
-        Module with the functions of `LogModule`. It is imported when the first file is read.
+        Module with the functions of `LogModule`, or the object in it that has them, after a colon. It is imported when
+        the first file is read.
     extra : str
         Extra of the distribution that brings the libraries it needs; empty where it needs none.
     text : bool
@@ -115,8 +119,10 @@ class LogFormat:
 
     @property
     def code(self) -> LogModule:
-        """The format's module, imported."""
-        return cast(LogModule, import_module(self.module, __package__))
+        """The format's functions, imported."""
+        module, _, member = self.module.partition(":")
+        found = import_module(module, __package__)
+        return cast(LogModule, getattr(found, member) if member else found)
 
     def missing(self, name: str, error: ImportError) -> RunsError:
         """Return the error for a file of this format where a library is not installed."""

@@ -8,21 +8,22 @@ from typing import Any
 
 from joulemap.model.errors import RunsError
 from joulemap.model.runs.formats.contract import Log, mentioned
-from joulemap.model.runs.formats.messages import Collector, cut_off, log_of, reading
+from joulemap.model.runs.formats.messages import Collector, cut_off, fields_by_kind, log_of, reading, wanted_of
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
 
-_FIELDS = (
-    "position_lat",
-    "position_long",
-    "enhanced_altitude",
-    "altitude",
-    "enhanced_speed",
-    "speed",
-    "power",
-    "temperature",
-    "gps_accuracy",
+_WANTED = wanted_of(
+    {
+        "power": "record.power:W",
+        "lat": "record.position_lat:semicircles",
+        "lon": "record.position_long:semicircles",
+        "z": "record.enhanced_altitude:m record.altitude:m",
+        "speed": "record.enhanced_speed:m/s record.speed:m/s",
+        "gps_error": "record.gps_accuracy:m",
+        "temperature": "record.temperature:degC",
+    }
 )
+_FIELDS = fields_by_kind(_WANTED)["record"]
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -59,19 +60,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             notes = [cut_off("FIT file", error.offset, source.size_bytes)]
     if not collector.messages:
         raise RunsError(f"run {source.name}: the FIT file has no records", run=source.name)
-    return log_of(
-        collector.streams(),
-        {
-            "power": [("record.power", "W")],
-            "lat": [("record.position_lat", "semicircles")],
-            "lon": [("record.position_long", "semicircles")],
-            "z": [("record.enhanced_altitude", "m"), ("record.altitude", "m")],
-            "speed": [("record.enhanced_speed", "m/s"), ("record.speed", "m/s")],
-            "gps_error": [("record.gps_accuracy", "m")],
-            "temperature": [("record.temperature", "degC")],
-        },
-        notes=notes,
-    )
+    return log_of(collector.streams(), _WANTED, notes=notes)
 
 
 def _take(frame: Any, collector: Collector, *, whole: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -15,12 +16,14 @@ from joulemap.model.runs.table import LARGEST, LEAST_ROWS, LONGEST_NAME, TableLi
 from joulemap.model.source_file import SourceFile
 
 _DEEPEST = 12
+_ORDERS = {"coordinates": ("lon", "lat", "alt"), **dict.fromkeys(("latlng", "latlon", "lat_lng"), ("lat", "lon"))}
+_BEGINNING = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\{|\[\s*[{\["])')
 _LONGEST_LIST = 16  # a longer list in a record is no reading
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the first character."""
-    return head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] in (b"{", b"[")
+    """Decide by the first two tokens: `[0.1] x=1` and `[INFO] [12.5]` begin lines of a text."""
+    return _BEGINNING.match(head) is not None
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
@@ -108,6 +111,9 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
     if depth > _DEEPEST:
         return
     if isinstance(value, list):
+        series = [each for item in value if isinstance(item, dict) for each in _series(item)]
+        if series:
+            yield series
         if len(value) >= LEAST_ROWS and all(isinstance(item, dict) for item in value):
             yield value
         elif len(value) >= LEAST_ROWS and all(isinstance(item, list) for item in value):
@@ -122,15 +128,36 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
         for item in values:  # of columns that are named beside them
             if isinstance(item[0], list) and len(item[0]) == len(named) and not _are_words(item[0]):
                 yield [dict(zip(named, row, strict=False)) for row in item if isinstance(row, list)]
+        value = {key: _only_list(item) for key, item in value.items()}
         lists = {key: item for key, item in value.items() if isinstance(item, list) and len(item) >= LEAST_ROWS}
         lengths = {len(item) for item in lists.values()}
-        plain = [key for key, item in lists.items() if not isinstance(item[0], dict | list)]
+        plain = [key for key, item in lists.items() if not isinstance(item[0], dict) and not _is_long(item[0])]
         if len(plain) > 1 and len(lengths) == 1:
             yield [dict(zip(plain, row, strict=True)) for row in zip(*(lists[key] for key in plain), strict=True)]
         elif len(value) >= LEAST_ROWS and all(isinstance(item, dict) and item for item in value.values()):
             yield [{"key": key} | item for key, item in value.items()]
         for item in value.values():
             yield from _tables(item, depth + 1)
+
+
+def _series(item: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The values of a series that is named beside them: `{"metric": {...}, "values": [[1709994611, "5.2"], ...]}`."""
+    lists = [each for key, each in item.items() if _is_long(each) and key not in _ORDERS]
+    pairs = [each for each in lists if all(isinstance(pair, list) and len(pair) == 2 for pair in each)]
+    words = _flat({key: each for key, each in item.items() if not isinstance(each, list)})
+    name = next((str(words[key]) for key in words if key.rpartition(".")[2].strip("_") in ("name", "target")), "")
+    if len(pairs) == 1 and name:
+        yield from ({"time": time, "name": name, "value": value} for time, value in pairs[0])
+
+
+def _only_list(item: Any) -> Any:
+    """The list of a column with remarks, `{"data": [...], "type": "time"}`."""
+    lists = [each for each in item.values() if _is_long(each)] if isinstance(item, dict) else []
+    return lists[0] if len(lists) == 1 and not any(isinstance(each, dict) for each in item.values()) else item
+
+
+def _is_long(item: Any) -> bool:
+    return isinstance(item, list) and len(item) >= LEAST_ROWS
 
 
 def _are_words(items: list[Any]) -> bool:
@@ -142,7 +169,7 @@ def _flat(value: Any, front: str = "", depth: int = 0) -> dict[str, Any]:
     if isinstance(value, list):
         if len(value) > _LONGEST_LIST or depth > _DEEPEST:
             return {}
-        names = ("lon", "lat", "alt") if front == "coordinates" or front.endswith(".coordinates") else ()
+        names = next((axes for word, axes in _ORDERS.items() if f".{front}".endswith(f".{word}")), ())
         items = [(names[k] if k < len(names) else str(k), item) for k, item in enumerate(value)]
     elif isinstance(value, dict):
         if depth > _DEEPEST:

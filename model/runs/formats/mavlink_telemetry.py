@@ -10,7 +10,7 @@ from joulemap.model.errors import RunsError
 from joulemap.model.recordings.places import on_disk
 from joulemap.model.runs.formats.contract import Log, mentioned
 from joulemap.model.runs.formats.finite import FiniteStream, fill_at, filled
-from joulemap.model.runs.formats.messages import Collector, cut_off, log_of, reading
+from joulemap.model.runs.formats.messages import Collector, cut_off, fields_by_kind, log_of, reading, wanted_of
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
 
@@ -20,15 +20,22 @@ _LONGEST_BYTES = 8 + 280  # of a stamp and a message
 _MOST_UNREADABLE = 1_000  # more than there are messages: the rest is not looked at
 _MOST_STEPS = 1_000_000
 """Bytes of no message in which the library may look for the next one [bytes]: it takes a second for so many."""
-_KINDS = {
-    "SYS_STATUS": ("voltage_battery", "current_battery"),
-    "BATTERY_STATUS": ("current_battery",),
-    "GLOBAL_POSITION_INT": ("lat", "lon", "alt", "hdg"),
-    "GPS_RAW_INT": ("lat", "lon", "alt", "fix_type"),
-    "ATTITUDE": ("roll", "pitch", "yaw"),
-    "LOCAL_POSITION_NED": ("x", "y", "z"),
-    "VFR_HUD": ("groundspeed",),
-}
+_WANTED = wanted_of(
+    {
+        "voltage": "BATTERY_STATUS.voltage:mV SYS_STATUS.voltage_battery:mV",
+        "current": "BATTERY_STATUS.current_battery:cA SYS_STATUS.current_battery:cA",
+        "lat": "GLOBAL_POSITION_INT.lat:degE7 GPS_RAW_INT.lat:degE7",
+        "lon": "GLOBAL_POSITION_INT.lon:degE7 GPS_RAW_INT.lon:degE7",
+        "x": "LOCAL_POSITION_NED.y:m",
+        "y": "LOCAL_POSITION_NED.x:m",
+        "z": "GLOBAL_POSITION_INT.alt:mm GPS_RAW_INT.alt:mm",
+        "roll": "ATTITUDE.roll:rad",
+        "pitch": "ATTITUDE.pitch:rad",
+        "heading": "ATTITUDE.yaw:rad",
+        "speed": "VFR_HUD.groundspeed:m/s",
+    }
+)
+_FIELDS = fields_by_kind(_WANTED)
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -64,12 +71,11 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
                         break
                     continue
                 whole_messages += 1
-                if kind not in _KINDS and not mentioned(mapping, kind):
+                keys = message.get_fieldnames() if mentioned(mapping, kind) else _FIELDS.get(kind)
+                if keys is None:
                     continue
-                whole = mentioned(mapping, kind)
-                keys = message.get_fieldnames() if whole else _KINDS[kind]
-                values = {key: float(v) for key in keys if isinstance(v := getattr(message, key), (int, float))}
-                if kind == "GPS_RAW_INT" and values.get("fix_type", 3) < 2:
+                values = {key: float(v) for key in keys if isinstance(v := getattr(message, key, None), (int, float))}
+                if kind == "GPS_RAW_INT" and message.fix_type < 2:
                     continue
                 if kind == "BATTERY_STATUS":
                     cells = [mv for mv in message.voltages if mv != 65535]
@@ -88,20 +94,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             run=source.name,
             byte=broken,
         )
-    wanted = {
-        "voltage": [("BATTERY_STATUS.voltage", "mV"), ("SYS_STATUS.voltage_battery", "mV")],
-        "current": [("BATTERY_STATUS.current_battery", "cA"), ("SYS_STATUS.current_battery", "cA")],
-        "lat": [("GLOBAL_POSITION_INT.lat", "degE7"), ("GPS_RAW_INT.lat", "degE7")],
-        "lon": [("GLOBAL_POSITION_INT.lon", "degE7"), ("GPS_RAW_INT.lon", "degE7")],
-        "x": [("LOCAL_POSITION_NED.y", "m")],
-        "y": [("LOCAL_POSITION_NED.x", "m")],
-        "z": [("GLOBAL_POSITION_INT.alt", "mm"), ("GPS_RAW_INT.alt", "mm")],
-        "roll": [("ATTITUDE.roll", "rad")],
-        "pitch": [("ATTITUDE.pitch", "rad")],
-        "heading": [("ATTITUDE.yaw", "rad")],
-        "speed": [("VFR_HUD.groundspeed", "m/s")],
-    }
-    return log_of(collector.streams(), wanted, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
+    return log_of(collector.streams(), _WANTED, notes=notes)
 
 
 def _about_end(path: Path, fill: int) -> tuple[int, list[str]]:

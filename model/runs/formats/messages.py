@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 
@@ -86,13 +87,28 @@ def _stamps(topic: _Topic) -> FloatArray:
     return sent if np.isfinite(away).all() and np.median(away) < _SAME_CLOCK_S else recorded
 
 
-def log_of(
-    streams: Sequence[Stream],
-    wanted: Mapping[str, Sequence[tuple[str, str]]],
-    *,
-    prefer: Sequence[Sequence[str]] = (),
-    notes: Sequence[str] = (),
-) -> Log:
+Wanted = Mapping[str, Sequence[str]]
+"""By joulemap's column, where it may be found, the best first: `BATTERY_STATUS.voltage:mV`."""
+
+PREFERRED = (("lat", "lon"), ("x", "y"))
+"""Positions in degrees come before those in metres."""
+
+
+def wanted_of(table: Mapping[str, str]) -> Wanted:
+    """Return where columns may be found, of texts with spaces between."""
+    return {target: places.split() for target, places in table.items()}
+
+
+def fields_by_kind(wanted: Wanted) -> dict[str, set[str]]:
+    """Return the fields that are wanted of each kind of message."""
+    found: dict[str, set[str]] = {}
+    for place in chain.from_iterable(wanted.values()):
+        kind, _, name = place.rpartition(":")[0].partition(".")
+        found.setdefault(kind, set()).add(name)
+    return found
+
+
+def log_of(streams: Sequence[Stream], wanted: Wanted, *, notes: Sequence[str] = ()) -> Log:
     """Return a log in which columns are found by the types of messages.
 
     Result: one of each column the first candidate that is mostly known; of candidates of one kind that with most
@@ -107,13 +123,13 @@ def log_of(
     usual: dict[str, str] = {}
     others: dict[str, tuple[str, ...]] = {}
     for target, candidates in wanted.items():
-        found = [(column, unit) for column, unit in candidates if known.get(column, 0) > 1]
+        found = [each for each in candidates if known.get(each.rpartition(":")[0], 0) > 1]
         if found:
-            usual[target] = f"{found[0][0]}:{found[0][1]}"
+            usual[target] = found[0]
             if len(found) > 1:
-                others[target] = tuple(column for column, _ in found[1:4])
-    complete = next((group for group in prefer if all(target in usual for target in group)), ())
-    for group in prefer:
+                others[target] = tuple(each.rpartition(":")[0] for each in found[1:4])
+    complete = next((group for group in PREFERRED if all(target in usual for target in group)), ())
+    for group in PREFERRED:
         for target in group:
             if target not in complete:
                 usual.pop(target, None)

@@ -4,44 +4,56 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from typing import Protocol
+from dataclasses import dataclass
+from functools import partial
 
 from joulemap.model.errors import RunsError
+from joulemap.model.recordings import mcap_file, ros1, ros2_sqlite
 from joulemap.model.recordings.contract import Recording, Topic, topics_in_words
+from joulemap.model.recordings.kinds import open_recording
+from joulemap.model.recordings.split import parts_of, recognise
 from joulemap.model.runs.formats.contract import Log, mentioned
 from joulemap.model.runs.formats.messages import Collector, reading
 from joulemap.model.runs.formats.ros import collect, is_wanted, ros_log
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
 
+__all__ = ["MCAP", "ROS1", "ROS2", "decode", "recognise"]
+
 Part = Callable[[], AbstractContextManager[Recording]]
 """Opens a file of a recording."""
 
 
-class Decode(Protocol):
-    """The function `decode` of a format of logs."""
+@dataclass(frozen=True)
+class _OneFile:
+    """A kind of recordings that are one file each; `repair`: the command that may repair one that is corrupt."""
 
-    def __call__(
+    name: str
+    recognise: Callable[[bytes, str], bool]
+    opener: Callable[[SourceFile], AbstractContextManager[Recording]]
+    repair: str
+
+    def decode(
         self, source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]
     ) -> Log:
         """Read the topics that a run needs."""
+        return _read_parts(self.name, source.name, [lambda: self.opener(source)], mapping, limits, repair=self.repair)
 
 
-def decoder(
-    kind: str, open_recording: Callable[[SourceFile], AbstractContextManager[Recording]], *, repair: str = ""
-) -> Decode:
-    """Return the function `decode` of a kind of recordings."""
-
-    def _decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
-        return read_parts(kind, source.name, [lambda: open_recording(source)], mapping, limits, repair=repair)
-
-    return _decode
+MCAP = _OneFile("MCAP recording", mcap_file.recognise, mcap_file.open_mcap, "mcap recover IN -o OUT")
+ROS1 = _OneFile("ROS 1 bag", ros1.recognise, ros1.open_ros1, "rosbag reindex BAG")
+ROS2 = _OneFile("ROS 2 bag", ros2_sqlite.recognise, ros2_sqlite.open_sqlite, "sqlite3 BAG .recover | sqlite3 OUT")
 
 
-def read_parts(
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read the topics that a run needs from all files of a ROS 2 bag, in a folder or an archive."""
+    with reading("archive", source.name, lambda: "in its list of files"), parts_of(source) as parts:
+        return _read_parts("ROS 2 bag", source.name, [partial(open_recording, part) for part in parts], mapping, limits)
+
+
+def _read_parts(
     kind: str, name: str, parts: Iterable[Part], mapping: Mapping[str, str], limits: TableLimits, *, repair: str = ""
 ) -> Log:
-    """Read the files of one recording."""
     collector = Collector(name, limits)
     topics: dict[str, Topic] = {}
     notes: list[str] = []

@@ -67,8 +67,8 @@ def ros_log(streams: Sequence[Stream], kinds: Mapping[str, str], *, notes: Seque
     """
     most = sorted(streams, key=lambda stream: -(0 if stream.t is None else stream.t.size))
 
-    def _of(kind: str, field: str, unit: str) -> list[tuple[str, str]]:
-        return [(f"{s.name}.{field}", unit) for s in most if short_type(kinds.get(s.name, "")) == kind]
+    def _of(kind: str, field: str, unit: str) -> list[str]:
+        return [f"{s.name}.{field}:{unit}" for s in most if short_type(kinds.get(s.name, "")) == kind]
 
     poses = [
         ("geometry_msgs/PoseWithCovarianceStamped", "pose.pose"),
@@ -92,7 +92,7 @@ def ros_log(streams: Sequence[Stream], kinds: Mapping[str, str], *, notes: Seque
         "pitch": _of("sensor_msgs/Imu", "pitch", "deg") + _of("nav_msgs/Odometry", "pitch", "deg"),
         "speed": _of("nav_msgs/Odometry", "twist.twist.linear.x", "m/s"),
     }
-    return log_of(streams, wanted, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
+    return log_of(streams, wanted, notes=notes)
 
 
 def _derived(message: Any, kind: str, values: dict[str, float]) -> None:

@@ -1,7 +1,7 @@
 """Logs as text: CSV of any shape, read by pyarrow. What is found out here is where the table begins, and how it is cut.
 
-Of lines before the header, comments and remarks are passed over. The separator is the one of which the lines have most:
-the comma, the semicolon, the tab, the bar, or spaces. A second line of the header may hold units.
+The separator is the one that divides the lines into most values. The header is the fullest line right above the first
+row of values, whatever comments, remarks and headings come before it; a line of units may follow it.
 """
 
 from __future__ import annotations
@@ -9,12 +9,13 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.formats.columns import named, stream_of
 from joulemap.model.runs.formats.contract import Log, content_of
+from joulemap.model.runs.names import is_unit
 from joulemap.model.runs.table import TableLimits, add_count
 from joulemap.model.source_file import SourceFile
 
@@ -22,10 +23,12 @@ _SEPARATORS = (",", ";", "\t", "|")
 _BEFORE_HEADER = re.compile(rb"(?:(?:[#%][^\n]*+)?+\n++)*+")  # comments and empty lines, millions too
 _OTHER_ENCODING = "cp1252"  # what spreadsheets write in Western Europe and America
 _LONGEST_HEADER = 1_000_000  # bytes of the line with the names
-_SAMPLE_LINES, _SAMPLE_BYTES = 40, 1 << 18
+_SAMPLE_LINES, _SAMPLE_BYTES = 100, 1 << 18
+_COMMENT_LINES = 3  # before the table, which may be its header
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _NUMBER = re.compile(r"^[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
+_OF_VALUES = re.compile(r"[\d.:+/-]")
 _BLOCK_BYTES = 1 << 22
 
 
@@ -128,69 +131,126 @@ def _no_text(name: str, error: Exception) -> RunsError:
 def _header(content: bytes, name: str, limits: TableLimits) -> tuple[str, list[str], list[str], bytes, int]:
     """(separator, names, units, the line with the names, where the rows begin [bytes])."""
     start = _BEFORE_HEADER.match(content).end()  # type: ignore[union-attr]
-    first = content[start : _line_end(content, start)]
-    limits.check(0, max(first.count(mark.encode()) for mark in _SEPARATORS) + 1, name)
-    if len(first) > _LONGEST_HEADER:
+    line = content[start : _line_end(content, start)]
+    limits.check(0, max(line.count(mark.encode()) for mark in _SEPARATORS) + 1, name)
+    if len(line) > _LONGEST_HEADER:
         raise TooLargeError(
-            f"run {name}: its first line has {len(first):,} bytes, the limit is {_LONGEST_HEADER:,}",
+            f"run {name}: its first line has {len(line):,} bytes, the limit is {_LONGEST_HEADER:,}",
             run=name,
-            found=len(first),
+            found=len(line),
             limit=_LONGEST_HEADER,
         )
-    lines: list[tuple[str, int]] = []
-    at = start
-    while len(lines) < _SAMPLE_LINES and at < len(content) and at - start < _SAMPLE_BYTES + len(first):
-        end = _line_end(content, at)
-        lines.append((content[at:end].decode("utf-8", "replace"), end + 1))
-        at = end + 1
-    if not lines:
+    if start >= len(content):
         raise RunsError(f"run {name}: the file is empty", run=name)
-    if any("\0" in line for line, _ in lines[:1]):
+    lines = _sample(content, start)
+    if "\0" in lines[0].text:
         raise RunsError(
             f"run {name}: its first line has NUL characters, so it is no text in UTF-8: save it in that encoding",
             run=name,
         )
-    separator, usual = _separator([line for line, _ in lines])
-    rows = [(_cells(line, separator), after) for line, after in lines]
-    number = next((k for k, (cells, _) in enumerate(rows) if 2 * len(cells) >= usual and any(cells)), 0)
-    header, after = rows[number]
-    numbers = [bool(_NUMBER.match(cell)) for cell in header]
-    said = content[:start].decode("utf-8", "replace").splitlines()
-    comment = _cells(said[-1].lstrip("#% "), separator) if said else []
-    if 2 * sum(numbers) > len(header) > 2 and len(comment) == len(header) and not any(map(_NUMBER.match, comment)):
-        return separator, comment, [], b"", start
-    if len(header) > 2 and all(map(_NUMBER.match, filter(None, header))):
-        raise RunsError(
-            f"run {name}: its first line is {', '.join(header)[:80]!r}: write a line with the names of the columns "
-            "above it",
-            run=name,
+    separator = max((*_SEPARATORS, " "), key=lambda mark: _fit([line.text for line in lines], mark))
+    rows = [_cells(line.text, separator) for line in lines]
+    values = [sum(map(_is_value, row)) for row in rows]
+    usual = sorted(values)[len(values) * 3 // 4]
+    first = _first_row(rows, values, usual)
+    block = _block(rows, first)
+    if not block:
+        if first == 0 and len(rows[0]) > 2 and all(map(_NUMBER.match, filter(None, rows[0]))):
+            raise RunsError(
+                f"run {name}: its first line is {', '.join(rows[0])[:80]!r}: write a line with the names of the "
+                "columns above it",
+                run=name,
+            )
+        first = next((k for k, row in enumerate(rows) if any(row)), 0) + 1
+        block = [first - 1]
+    of_units = [k for k in block if k - 1 in block and _are_units(rows[k], len(rows[k]))]
+    number = of_units[0] - 1 if of_units else max(block, key=lambda k: (len({*rows[k]} - {""}), -k))
+    above = (row for row in rows[:number][::-1] if _are_units(row, len(rows[number])))
+    units = rows[number + 1] if number + 1 in block else next(above, [])
+    units = [cell.strip("[]() ") for cell in units]
+    if any(line.raw == b"[column names]" for line in lines[:number]):  # of Racelogic: minutes, positive to the west
+        units = [{"lat": "arcmin", "long": "arcmin west"}.get(column, "") for column in rows[number]]
+    return separator, rows[number], units, lines[number].raw, lines[first - 1].after
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line of the beginning: its text without the mark of a comment, its bytes, and where the next begins."""
+
+    text: str
+    raw: bytes
+    after: int
+
+
+def _sample(content: bytes, start: int) -> list[_Line]:
+    """The last comments before `start`, where the others begin, and the lines after it."""
+    at = start
+    for _ in range(_COMMENT_LINES):
+        at = content.rfind(b"\n", 0, max(at - 1, 0)) + 1
+    lines = list[_Line]()
+    while len(lines) < _SAMPLE_LINES and at < len(content) and at - start < _SAMPLE_BYTES + _LONGEST_HEADER:
+        end = _line_end(content, at)
+        text = content[at:end].decode("utf-8", "replace")
+        lines.append(
+            _Line(text.lstrip("#% ") if at < start else text, content[at:end].rstrip(), min(end + 1, len(content)))
         )
-    units: list[str] = []
-    if number + 2 < len(rows):
-        second, third = rows[number + 1][0], rows[number + 2][0]
-        numbers = [bool(_NUMBER.match(cell)) for cell in third]
-        if sum(numbers) >= 2 and not any(_NUMBER.match(cell) for cell in second) and any(second):
-            units, after = [cell.strip("[]() ") for cell in second], rows[number + 1][1]
-    return separator, header, units, lines[number][0].encode().rstrip(), min(after, len(content))
+        at = end + 1
+    return lines
+
+
+def _are_units(row: Sequence[str], columns: int) -> bool:
+    """Whether most cells are units, of most columns: the first may be a heading."""
+    words = [cell.strip("[]() ") for cell in row[1:] if cell]
+    units = sum(is_unit(word) and not _NUMBER.match(word) for word in words)
+    return 2 * len(words) > columns - 1 and 2 * units > len(words)
+
+
+def _first_row(rows: Sequence[Sequence[str]], values: Sequence[int], usual: int) -> int:
+    """Where the largest block of values begins: lines of words, which are no row of one mark, divide blocks."""
+    filled = [k for k, row in enumerate(rows) if any(row)]
+    blocks, begin, headers = dict[int, int](), -1, list[Sequence[str]]()
+    for k, after in zip(filled, [*filled[1:], filled[-1]], strict=True):
+        if values[k] == 0 and len({*rows[k]} - {""}) > 1 and 2 * sum(map(bool, rows[k])) >= usual:
+            begin = begin if rows[k] in headers else -1  # that of two logs joined is repeated
+            headers.append(rows[k])
+        full = values[k] > 0 and 2 * values[k] >= usual
+        if full and begin < 0 and (after == k or 2 * values[after] >= usual):
+            begin = k
+        if full and begin >= 0:
+            blocks[begin] = blocks.get(begin, 0) + 1
+    return max(blocks, key=lambda each: blocks[each], default=0)
+
+
+def _block(rows: Sequence[Sequence[str]], first: int) -> list[int]:
+    """Which lines right above the first row of values may be its header, or tell of its columns."""
+    wide, found = len(rows[first]), list[int]()
+    for k in range(first - 1, -1, -1):
+        filled = sum(map(bool, rows[k]))
+        if filled > 1 and 2 * len(rows[k]) >= wide:
+            found.insert(0, k)
+        elif found or filled > 1:  # a remark
+            break
+    return found
+
+
+def _is_value(cell: str) -> bool:
+    """Whether a cell is a number, a date or degrees, and no name, which may begin with a digit, too."""
+    marks = len(_OF_VALUES.findall(cell))
+    return marks > 0 and 2 * marks >= len(cell)
+
+
+def _fit(lines: Sequence[str], separator: str) -> tuple[int, int]:
+    """Into how many numbers a separator divides lines, and, negative, how many other cells there are; without numbers,
+    into how many cells, where spaces divide words and not cells.
+    """
+    cells = [cell for line in lines for cell in _cells(line, separator)]
+    numbers = sum(bool(_NUMBER.match(cell)) for cell in cells)
+    return numbers, numbers - sum(map(bool, cells)) if numbers else len(cells) * (separator != " ")
 
 
 def _line_end(content: bytes, start: int) -> int:
     end = content.find(b"\n", start)
     return end if end >= 0 else len(content)
-
-
-def _separator(lines: list[str]) -> tuple[str, int]:
-    """The mark between cells, and how many cells most lines have."""
-    widths = {}
-    for mark in _SEPARATORS:
-        counts = Counter(line.count(mark) + 1 for line in lines if line)
-        widths[mark] = max(counts.items(), key=lambda found: (found[1] * (found[0] > 1), found[0]))[0] if counts else 1
-    best = max(_SEPARATORS, key=lambda mark: (lines[0].count(mark) > 0 or widths[mark] > 2, widths[mark]))
-    if ";" in lines[0] and widths[";"] > 1 and best == ",":  # the commas are those of numbers
-        best = ";" if widths[";"] >= lines[0].count(",") + 1 else best
-    if widths[best] < 2 and len(lines[0].split()) > 2:
-        return " ", len(lines[0].split())
-    return best, widths[best]
 
 
 def _cells(line: str, separator: str) -> list[str]:

@@ -13,7 +13,7 @@ from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.recordings.places import on_disk
 from joulemap.model.runs.formats.contract import Log, Stream, mentioned
 from joulemap.model.runs.formats.finite import FiniteStream, fill_at, filled
-from joulemap.model.runs.formats.messages import cut_off, log_of, reading
+from joulemap.model.runs.formats.messages import cut_off, fields_by_kind, log_of, reading, wanted_of
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
 
@@ -28,13 +28,23 @@ _MANY, _LEAST_MEAN = 1_000_000, 8
 """After so many messages of fewer bytes in the mean it is no log: one with a time and a value has 17 [bytes]."""
 _MOST_STEPS = 1_000_000
 """Bytes of no message in which the library may look for the next one [bytes]: it takes a second for so many."""
-_KINDS = (
-    "battery_status",
-    "vehicle_gps_position",
-    "sensor_gps",
-    "vehicle_global_position",
-    "vehicle_local_position",
+_WANTED = wanted_of(
+    {
+        "voltage": "battery_status.voltage_v:V battery_status.voltage_filtered_v:V",
+        "current": "battery_status.current_a:A battery_status.current_filtered_a:A",
+        "lat": "vehicle_global_position.lat:deg vehicle_gps_position.latitude_deg:deg vehicle_gps_position.lat:degE7 "
+        "sensor_gps.latitude_deg:deg sensor_gps.lat:degE7",
+        "lon": "vehicle_global_position.lon:deg vehicle_gps_position.longitude_deg:deg vehicle_gps_position.lon:degE7 "
+        "sensor_gps.longitude_deg:deg sensor_gps.lon:degE7",
+        "x": "vehicle_local_position.y:m",
+        "y": "vehicle_local_position.x:m",
+        "z": "vehicle_global_position.alt:m vehicle_gps_position.altitude_msl_m:m vehicle_gps_position.alt:mm "
+        "sensor_gps.altitude_msl_m:m sensor_gps.alt:mm",
+        "heading": "vehicle_local_position.heading:rad",
+    }
 )
+"""The local position has x north and y east."""
+_FIELDS = fields_by_kind(_WANTED)
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -57,7 +67,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     _check_formats(formats, limits, source.name)
     with reading("ULog", source.name, lambda: f"at byte {broken:,}"), source.open() as stream:
         limited = FiniteStream(stream, end=broken, most_steps=_MOST_STEPS)
-        log = ULog(limited, [*_KINDS, *sorted(named - set(_KINDS))])
+        log = ULog(limited, [*_FIELDS, *sorted(named - _FIELDS.keys())])
         if log.file_corruption or (broken < source.size_bytes and not notes):
             raise RunsError(
                 f"run {source.name}: the ULog is corrupt at byte {broken:,} of {source.size_bytes:,} or before: it was "
@@ -74,7 +84,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             numbers = {
                 f"{topic}.{key}": np.asarray(values, dtype=np.float64)
                 for key, values in data.data.items()
-                if values.dtype.kind in "fiub" and (whole or key in _FIELDS)
+                if values.dtype.kind in "fiub" and (whole or key in _FIELDS.get(data.name, ()))
             }
             streams.append(Stream(topic, numbers, {}, stamps))
     if not streams:
@@ -83,7 +93,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             f"{', '.join(sorted(log.message_formats))[:300]}",
             run=source.name,
         )
-    return log_of(streams, _WANTED, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
+    return log_of(streams, _WANTED, notes=notes)
 
 
 def _skimmed(source: SourceFile) -> tuple[int, list[str], list[str]]:
@@ -129,22 +139,3 @@ def _check_formats(formats: list[str], limits: TableLimits, name: str) -> None:
             limits.check(0, columns[kind], f"{name}, ULog message {kind[:80]!r},")
     except CycleError as error:
         raise RunsError(f"run {name}: the ULog's message {error.args[1][0][:80]!r} holds itself", run=name) from error
-
-
-_GPS = ("vehicle_gps_position", "sensor_gps")
-_WANTED = {
-    "voltage": [("battery_status.voltage_v", "V"), ("battery_status.voltage_filtered_v", "V")],
-    "current": [("battery_status.current_a", "A"), ("battery_status.current_filtered_a", "A")],
-    "lat": [("vehicle_global_position.lat", "deg")]
-    + [(f"{kind}.{key}", unit) for kind in _GPS for key, unit in (("latitude_deg", "deg"), ("lat", "degE7"))],
-    "lon": [("vehicle_global_position.lon", "deg")]
-    + [(f"{kind}.{key}", unit) for kind in _GPS for key, unit in (("longitude_deg", "deg"), ("lon", "degE7"))],
-    "x": [("vehicle_local_position.y", "m")],
-    "y": [("vehicle_local_position.x", "m")],
-    "z": [("vehicle_global_position.alt", "m")]
-    + [(f"{kind}.{key}", unit) for kind in _GPS for key, unit in (("altitude_msl_m", "m"), ("alt", "mm"))],
-    "heading": [("vehicle_local_position.heading", "rad")],
-}
-"""By joulemap's column; the local position has x north and y east."""
-
-_FIELDS = frozenset(column.partition(".")[2] for candidates in _WANTED.values() for column, _ in candidates)

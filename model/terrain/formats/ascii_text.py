@@ -30,6 +30,9 @@ def check_ascii_grid(source: SourceFile, max_cells: int) -> SourceFile:
     """
     with source.open() as stream:
         text = stream.read(_HEADER_BYTES)
+        if b"," in text and b"." not in text:  # decimal commas
+            source = replace(source, place=(text + stream.read()).replace(b",", b"."))
+            text = text.replace(b",", b".")
     start = len(_BYTE_ORDER_MARK) if text.startswith(_BYTE_ORDER_MARK) else 0
     header, at = dict[str, float](), start
     while match := _LINE.match(text, at):

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from joulemap.model.errors import HeightmapError
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
+from joulemap.model.terrain.formats.point_lines import check_points
+from joulemap.model.terrain.formats.points import gridded
 
 _MAX_NPY_HEADER = 10_000  # bytes; numpy writes 128 for a plain array
 _PART_BYTES = 1 << 24  # read at a time
@@ -24,10 +26,23 @@ def recognise(head: bytes, name: str) -> bool:
 
 
 def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
-    """Read one 2-D array of real numbers."""
+    """Read one 2-D array of real numbers: heights, or x, y and height of points, which are three columns."""
     with source.open() as stream:
+        shape, _, dtype, _ = read_header(stream, "the .npy file")
+        if len(shape) == 2 and shape[0] > shape[1] == 3 and dtype.kind == "f":
+            check_points(shape[0], max_cells, source.name)
+            stream.seek(0)
+            return gridded(_whole(stream, source), scaling, max_cells, source.name)
+        stream.seek(0)
         heights = read_heights(stream, "the .npy file", scaling, max_cells, expected_length=source.size_bytes)
     return Decoded(heights)
+
+
+def _whole(stream: IO[bytes], source: SourceFile) -> NDArray[np.float64]:
+    try:
+        return np.asarray(npy_format.read_array(stream, allow_pickle=False), dtype=np.float64)
+    except ValueError as error:
+        raise HeightmapError(f"{source.name} is truncated: {str(error)[:200]}") from error
 
 
 def read_header(stream: IO[bytes], what: str) -> tuple[tuple[int, ...], bool, np.dtype, int]:

@@ -13,12 +13,13 @@ import numpy as np
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.source_file import SourceFile
-from joulemap.model.terrain.decoded import Decoded, Scaling
+from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded, Scaling
 from joulemap.model.terrain.formats.npy import read_header, read_heights
 
 _MAX_SCALAR_BYTES = 65_536  # a CRS in WKT is about 1,000
 _NAMES = ("heights", "elevation", "height", "dem", "z", "topo")
 _SCALARS = ("resolution_m", "west_m", "north_m", "crs")
+_SIDES = ("resolution", "cell_size", "cellsize")  # in metres, like the heights
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -45,10 +46,13 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
                 heights = read_heights(
                     member, f"`{named[0]}` of the .npz file", scaling, max_cells, expected_length=length
                 )
-            scalars = {}
+            scalars = {} if "resolution_m" in members else _axes(archive, members, heights.shape)
+            if scalars.pop("south_first", False):
+                heights = np.ascontiguousarray(heights[::-1])
             for key in _SCALARS:
-                if key in members:
-                    with archive.open(members[key]) as member:
+                there = [each for each in (key, *(_SIDES if key == "resolution_m" else ())) if each in members]
+                if there:
+                    with archive.open(members[there[0]]) as member:
                         scalars[key] = _read_scalar(member, key)
     except (
         zipfile.BadZipFile,
@@ -70,6 +74,30 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
         resolution_m=_number(scalars, "resolution_m"),
         crs=str(scalars["crs"]) if "crs" in scalars and scalars["crs"] not in ("", "None") else None,
     )
+
+
+def _axes(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], shape: tuple[int, ...]) -> dict[str, object]:
+    """Where the heights lie, if the centres of their rows and columns are there as `y` and `x` at even steps."""
+    centres = []
+    for key, size in (("y", shape[0]), ("x", shape[1])):
+        if key not in members:
+            return {}
+        with archive.open(members[key]) as stream:
+            there, _, dtype, _ = read_header(stream, f'the array "{key}" of the .npz file')
+            if there != (size,) or dtype.kind not in "fiu" or size < 2:
+                return {}
+            centres.append(np.frombuffer(stream.read(size * dtype.itemsize), dtype=dtype).astype(np.float64))
+    steps = [np.diff(values) for values in centres]
+    side = abs(float(steps[1][0]))
+    even = all(np.abs(np.abs(step) - side).max() <= SAME_LENGTH * side for step in steps)
+    if not even or side == 0 or steps[1][0] < 0:
+        return {}
+    return {
+        "resolution_m": side,
+        "west_m": float(centres[1][0]) - side / 2,
+        "north_m": float(centres[0].max()) + side / 2,
+        "south_first": bool(steps[0][0] > 0),
+    }
 
 
 def _number(scalars: dict[str, object], key: str) -> float | None:

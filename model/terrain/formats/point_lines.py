@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,28 +19,35 @@ def check_points(many: int, most: int, name: str) -> None:
         raise TooLargeError(f"{name} holds {many:,} points; the limit is {most:,}", points=many, limit=most)
 
 
-def parsed(rows: list[bytes], columns: int, before: int, name: str) -> NDArray[np.float64]:
-    """Return the numbers of lines. The result is (lines, columns)."""
+def parsed(
+    rows: Sequence[str],
+    columns: int,
+    before: int,
+    name: str,
+    *,
+    mark: str | None = None,
+    used: Sequence[int] | None = None,
+) -> NDArray[np.float64]:
+    """Return the numbers of lines. The result is (lines, columns), or those that are used.
+
+    `mark`: between cells, spaces by default; `before`: lines before these.
+    """
     if columns < 3:
         raise HeightmapError(f"{name}: its lines hold {columns} numbers, and not x, y and a height")
-    text = b"\n".join(rows)
-    codes = np.frombuffer(text, np.uint8)
-    starts = np.diff(codes > 32, prepend=False) & (codes > 32)
-    words = np.diff(np.cumsum(starts)[np.append(np.flatnonzero(codes == 10), codes.size - 1)], prepend=0)
-    if (words == columns).all():
-        try:
-            return np.fromstring(text, sep=" ").reshape(-1, columns)
-        except ValueError:  # the line is named below
-            pass
-    for k, line in enumerate(rows):
-        try:
-            ok = len([float(word) for word in line.split()]) == columns
-        except ValueError:
-            ok = False
-        if not ok:
-            shown = line[:60].decode("ascii", "replace")
-            raise HeightmapError(f"{name}, line {before + k + 1}: {shown!r} is no point of {columns} numbers")
-    return np.array([line.split() for line in rows], dtype=np.float64)
+    try:
+        return np.loadtxt(rows, delimiter=mark, usecols=used, comments=None, quotechar='"', ndmin=2)
+    except ValueError as error:
+        for k, line in enumerate(rows):
+            cells = line.split(mark)
+            try:
+                wrong = len(cells) != columns or not [float(cells[j].strip('" \n')) for j in used or range(columns)]
+            except ValueError:
+                wrong = True
+            if wrong:
+                raise HeightmapError(
+                    f"{name}, line {before + k + 1}: {line.strip()[:60]!r} is no point of {columns} numbers"
+                ) from error
+        raise HeightmapError(f"{name}: {str(error)[:200]}") from error
 
 
 def table(text: bytes, many: int, columns: int, name: str) -> NDArray[np.float64]:
@@ -46,7 +55,9 @@ def table(text: bytes, many: int, columns: int, name: str) -> NDArray[np.float64
     rows = text.split(b"\n", many)[:many]
     if len(rows) < many:
         raise HeightmapError(f"{name} is truncated: {many:,} points declared, {len(rows):,} there")
-    return parsed(rows, columns, 0, name) if many else np.empty((0, columns))
+    return (
+        parsed([row.decode("ascii", "replace") for row in rows], columns, 0, name) if many else np.empty((0, columns))
+    )
 
 
 def records(body: memoryview, record: np.dtype, many: int, name: str) -> NDArray[np.float64]:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
+from dataclasses import dataclass
+from io import TextIOWrapper
+from typing import IO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,24 +19,14 @@ from joulemap.model.terrain.formats.ply import ply_points
 from joulemap.model.terrain.formats.point_lines import check_points, parsed
 from joulemap.model.terrain.point_grid import PointGrid
 
-_NUMBER = rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_LINE = re.compile(
-    rb"\s*" + rb"[ \t,;]+".join([_NUMBER] * 3) + rb"[ \t,;]*(?:[ \t,;]" + _NUMBER + rb"[ \t,;]*)*(?:[\r\n]|\Z)"
-)
-_COMMENTS = re.compile(rb"(?:\xef\xbb\xbf)?(?:\s*(?:#|//)[^\r\n]*[\r\n]+)*")
-_SPACE = rb"\"?[ \t,;]+\"?"
-_HEADER = re.compile(
-    rb"\s*\"?(?:x|e|east|easting|lon|longitude)(?:\[m\])?"
-    + _SPACE
-    + rb"(?:y|n|north|northing|lat|latitude)(?:\[m\])?"
-    + _SPACE
-    + rb"(?:z|h|height|elevation|elev|alt|altitude)\b[^\r\n]*[\r\n]+",
-    re.IGNORECASE,
-)
-_PART_BYTES = 1 << 22
-_MARKS = bytes.maketrans(b",;\t", b"   ")
-_COMMA_MARKS = bytes.maketrans(b",;\t", b".  ")
-_DECIMAL_COMMAS = re.compile(rb"\s*-?\d+(?:,\d+)?[ \t;]+-?\d+(?:,\d+)?[ \t;]+-?\d+,\d+\s*[ \t;\r\n]")
+_NAMES = {
+    "x": frozenset(["x", "e", "east", "easting", "lon", "long", "longitude", "rechtswert"]),
+    "y": frozenset(["y", "n", "north", "northing", "lat", "latitude", "hochwert"]),
+    "z": frozenset(["z", "h", "height", "elevation", "elev", "alt", "altitude"]),
+}
+_UNIT = re.compile(r"[\[(][^\])]*[\])]|[_ ](?:m|deg)$")
+_PART_LINES = 1_000_000
+_LONGEST_LINE = 1 << 22
 _MOST_STEPS = 1e9  # of a grid, along a side
 _TEXTS = (".xyz", ".txt", ".csv", ".asc", ".dat", ".pts")
 _MOST_OF_A_POINT = 20  # place, colour, normal, and the attributes of LAS; more numbers are a row of heights
@@ -42,9 +36,10 @@ def recognise(head: bytes, name: str) -> bool:
     """Decide by the mark of PCD and PLY files; of a text, by three numbers in a line or by the header x, y, z."""
     if head.startswith((b"ply\n", b"ply\r")) or is_pcd(head):
         return True
-    match = _COMMENTS.match(head)
-    text = head[match.end() if match else 0 :]
-    return name.lower().endswith(_TEXTS) and bool(_HEADER.match(text) or _LINE.match(text))
+    if not name.lower().endswith(_TEXTS):
+        return False
+    lines = [line for line in head.decode("utf-8-sig", "replace").splitlines() if _is_line(line)]
+    return bool(lines) and _shape(lines[0]) is not None
 
 
 def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
@@ -58,21 +53,29 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
         return Decoded(
             scaling.to_metres(points), notes=("its lines were read as rows of heights, the first in the north",)
         )
+    return gridded(points, scaling, max_cells, source.name)
+
+
+def gridded(points: NDArray[np.float64], scaling: Scaling, max_cells: int, name: str) -> Decoded:
+    """Return points as cells: those of the grid on which they lie, or their means.
+
+    `points` (n, 3): x, y and height.
+    """
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 4:
-        raise HeightmapError(f"{source.name} holds {len(points)} points: there is no ground in it", points=len(points))
+        raise HeightmapError(f"{name} holds {len(points)} points: there is no ground in it", points=len(points))
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
     side = _regular(x, y)
     if side is not None and (scaling.cell_m is None or abs(scaling.cell_m - side) <= SAME_LENGTH * side):
         west, north = float(x.min()) - side / 2, float(y.max()) + side / 2
         rows, cols = round((north - float(y.min())) / side + 0.5), round((float(x.max()) - west) / side + 0.5)
-        check_cells(rows, cols, max_cells, what=source.name)
+        check_cells(rows, cols, max_cells, what=name)
         heights = np.full((rows, cols), np.nan)
         heights[np.floor((north - y) / side).astype(int), np.floor((x - west) / side).astype(int)] = z
         known = ~np.isnan(heights)
         return Decoded(scaling.to_metres(heights, known=known), west_m=west, north_m=north, resolution_m=side)
     bounds = (float(x.min()), float(y.min()), float(x.max()), float(y.max()))
-    grid = PointGrid(bounds, len(points), cell_m=scaling.cell_m, max_cells=max_cells, what=source.name)
+    grid = PointGrid(bounds, len(points), cell_m=scaling.cell_m, max_cells=max_cells, what=name)
     grid.add(x, y, z)
     heights = grid.heights()
     return Decoded(
@@ -83,32 +86,75 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
     )
 
 
+@dataclass(frozen=True)
+class _Shape:
+    """How the lines of a text are divided, by its first: the mark between cells, whether commas are decimal marks, the
+    names of the columns, and which of them are x, y and z (all of a line of numbers).
+    """
+
+    mark: str | None
+    commas: bool
+    names: tuple[str, ...]
+    used: tuple[int, ...] | None
+
+
+def _is_line(line: str) -> bool:
+    return bool(line.strip()) and not line.lstrip().startswith(("#", "//"))
+
+
+def _shape(line: str) -> _Shape | None:
+    """What a first line says; None where it is neither three numbers nor the names of x, y and z."""
+    mark = next((each for each in ";\t" if each in line), None)
+    commas = "," in line and (mark is not None or all(len(re.findall(",\\d", word)) == 1 for word in line.split()))
+    mark = mark or ("," if "," in line and not commas else None)
+    cells = tuple(cell.strip().strip('"') for cell in (line.replace(",", ".") if commas else line).split(mark))
+    if len(cells) > 2 and all(map(_is_number, filter(None, cells))):
+        return _Shape(mark, commas, (), None)
+    plain = [_UNIT.sub("", cell.lower()).strip() for cell in cells]
+    if len(cells) > _MOST_OF_A_POINT and all(map(_is_number, cells[1:])):
+        return _Shape(mark, commas, cells, None)  # of a matrix: x above, y in front
+    found = [next((k for k, cell in enumerate(plain) if cell in words), -1) for words in _NAMES.values()]
+    return None if min(found) < 0 else _Shape(mark, mark != ",", cells, tuple(found))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def _points(source: SourceFile, most: int) -> NDArray[np.float64]:
-    parts, found, lines = list[NDArray[np.float64]](), 0, 0
-    with source.open() as stream:
-        text = stream.read(_PART_BYTES)
-        comments = _COMMENTS.match(text)
-        text = text[comments.end() if comments else 0 :]
-        header = _HEADER.match(text)
-        rest, text = b"", text[header.end() if header else 0 :]
-        columns: int | None = None
-        while text or rest:
-            whole = rest + text
-            more = stream.read(_PART_BYTES)
-            end = max(whole.rfind(b"\n"), whole.rfind(b"\r")) + 1 if more else len(whole)
-            marks = _COMMA_MARKS if _DECIMAL_COMMAS.match(whole) else _MARKS
-            part, rest, text = whole[:end].translate(marks), whole[end:], more
-            if len(rest) > _PART_BYTES:
-                raise HeightmapError(f"{source.name} is corrupt: a line of more than {_PART_BYTES:,} bytes")
-            rows = [line for line in part.splitlines() if line.strip()]
+    """Points (n, 3), or rows of heights, of a text."""
+    with source.open() as raw, TextIOWrapper(cast(IO[bytes], raw), "utf-8-sig", "replace") as stream:
+        first, before = "", 0
+        while not _is_line(first):
+            first, before = stream.readline(_LONGEST_LINE), before + 1
+        shape = _shape(first)
+        assert shape is not None  # else it would not have been recognised
+        lines = itertools.chain([] if shape.names else [first], iter(lambda: stream.readline(_LONGEST_LINE), ""))
+        before -= not shape.names
+        parts, found, columns = list[NDArray[np.float64]](), 0, 0
+        while part := list(itertools.islice(lines, _PART_LINES)):
+            rows = [line for line in part if _is_line(line)]
+            if any(len(line) == _LONGEST_LINE for line in rows[-1:]):
+                raise HeightmapError(f"{source.name} is corrupt: a line of more than {_LONGEST_LINE:,} bytes")
+            if shape.commas:
+                rows = [line.replace(",", ".") for line in rows]
             if rows:
-                columns = len(rows[0].split()) if columns is None else columns
-                parts.append(parsed(rows, columns, lines, source.name))
+                columns = columns or len(rows[0].split(shape.mark))
+                parts.append(parsed(rows, columns, before, source.name, mark=shape.mark, used=shape.used))
                 found += len(rows)
-                lines += part.count(b"\n")
+            before += len(part)
             check_points(found, most, source.name)
-    wide = columns if columns is not None and columns > _MOST_OF_A_POINT else 3
-    return np.concatenate([np.empty((0, wide)), *(part[:, :wide] for part in parts)])
+    points = np.concatenate(parts) if parts else np.empty((0, 3))
+    if shape.names and shape.used is None:
+        x = np.array(shape.names[1:], dtype=np.float64)
+        if points.shape[1] != x.size + 1:
+            raise HeightmapError(f"{source.name}: {x.size} places above its heights, and {points.shape[1] - 1} heights")
+        return np.column_stack([np.tile(x, len(points)), np.repeat(points[:, 0], x.size), points[:, 1:].ravel()])
+    return points if points.shape[1] > _MOST_OF_A_POINT else points[:, :3]
 
 
 def _regular(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from rasterio.io import DatasetReader
 
 from joulemap.model.errors import HeightmapError
@@ -15,7 +18,13 @@ from joulemap.model.terrain.formats.ascii_text import HEADER_WORDS, check_ascii_
 from joulemap.model.terrain.formats.colours import GREY, colours_of
 from joulemap.model.terrain.formats.gdal import ALONE, BESIDE, opened
 from joulemap.model.terrain.formats.raster_band import Raster
-from joulemap.model.terrain.formats.raster_checks import HEIGHTS, check_blocks, check_grid, checked_band
+from joulemap.model.terrain.formats.raster_checks import (
+    HEIGHTS,
+    check_blocks,
+    check_grid,
+    checked_band,
+    transform_of,
+)
 from joulemap.model.terrain.formats.vrt import check_names, is_vrt
 from joulemap.model.terrain.units import height_unit
 
@@ -40,7 +49,18 @@ _MARKS: dict[bytes, tuple[str, str]] = {  # first bytes -> driver, and what mess
     **dict.fromkeys((word.encode() for word in HEADER_WORDS), ("AAIGrid", "ASCII grid")),
 }
 _PICTURES = ("PNG", "PNM", "JPEG", "BMP", "WEBP", "GIF")  # their numbers are counts
-_WITH_HEADER = (".bil", ".bip", ".bsq", ".flt", ".sdat", ".dat", ".rst", ".gri", ".raw")
+_OTHERS = {  # first bytes, or the suffix, of what holds ground and is not read -> what it is, and what makes it a map
+    "ASTM-E57": "an E57 scan: save it as LAS or PLY",
+    "# Octomap": "a map of OctoMap, cubes that are occupied: save its ground as points (PCD, PLY)",
+    "MATLAB 5.0 MAT": "a MATLAB file: write its heights with `writematrix`, or as GeoTIFF",
+    ".obj": "a mesh: sample points of it (CloudCompare), and save them as PLY",
+    ".stl": "a mesh: sample points of it (CloudCompare), and save them as PLY",
+    ".dae": "a mesh: sample points of it (CloudCompare), and save them as PLY",
+    ".raw": "a file without a header: say its shape by `numpy.fromfile(...).reshape(...)`, and save it as .npy",
+}
+_SPACE = rb"(?:\s|#[^\n]*\n)+"
+_PGM = re.compile(rb"P[25]" + _SPACE + rb"(\d{1,9})" + _SPACE + rb"(\d{1,9})" + _SPACE + rb"(\d{1,9})\s")
+_WITH_HEADER = (".bil", ".bip", ".bsq", ".flt", ".sdat", ".dat", ".rst", ".gri")
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -71,6 +91,10 @@ def open_windows(
         check_names(source.place)
     if driver == "AAIGrid":
         source = check_ascii_grid(source, max_cells)
+    if driver == "GRASSASCIIGrid":
+        source = _without_stars(source)
+    if driver == "PNM":
+        source = _whole_pgm(source, max_cells)
     if what:
         drivers = ("netCDF", "HDF5", "BAG", "S102") if source.head.startswith(b"\x89HDF") else (driver,)
         return _opened(source, drivers, f"the {what}", scaling, band, max_cells, north_up)
@@ -80,6 +104,9 @@ def open_windows(
         if "not recognized as being in a supported file format" not in error.message:
             raise
         suffix = Path(source.name).suffix.lower()
+        for mark, other in _OTHERS.items():
+            if suffix == mark or source.head.startswith(mark.encode()):
+                raise HeightmapError(f"{source.name} is {other}", name=source.name) from error
         if suffix in _WITH_HEADER:
             raise HeightmapError(
                 f"{source.name} cannot be read without its header (.hdr, .sgrd, .rdc), which was not found: put it "
@@ -101,6 +128,40 @@ def _marked(head: bytes) -> tuple[str, str] | None:
         if head.startswith(mark) or (mark.islower() and text.startswith(mark)):
             return found
     return None
+
+
+def _without_stars(source: SourceFile) -> SourceFile:
+    """A GRASS ASCII grid whose unknown cells are a number: GDAL takes the usual `*` for 0."""
+    with source.open() as stream:
+        content = stream.read()
+    if b"*" not in content:
+        return source
+    first, end, rest = content.partition(b"\n")
+    return replace(source, place=first + end + b"null: -99999\n" + rest.replace(b"*", b"-99999"))
+
+
+def _whole_pgm(source: SourceFile, max_cells: int) -> SourceFile:
+    """A PGM that holds as many cells as it declares, of bytes, which alone GDAL reads."""
+    with source.open() as stream:
+        content = stream.read()
+    header = _PGM.match(content)
+    cols, rows, largest = (int(word) for word in header.groups()) if header else (0, 0, 0)
+    check_cells(rows, cols, max_cells, what="the PGM image")
+    body = content[header.end() :] if header else b""
+    try:
+        written = np.array(body.split(), dtype=">u2") if content.startswith(b"P2") else None
+    except (ValueError, OverflowError):
+        written = np.empty(0)
+    there = len(body) // (2 if largest > 255 else 1) if written is None else written.size
+    if there < rows * cols or not 0 < largest < 65_536:
+        raise HeightmapError(
+            f"the PGM image is truncated or corrupt: {rows} x {cols} cells declared, {there:,} there",
+            declared=rows * cols,
+            found=there,
+        )
+    if written is None:
+        return source
+    return replace(source, place=b"P5\n%d %d\n65535\n" % (cols, rows) + written[: rows * cols].tobytes())
 
 
 def _opened(
@@ -175,9 +236,9 @@ def _header(
     nodata = dataset.nodatavals[band - 1]
     if nodata is None and dataset.driver == "AAIGrid":
         nodata = -9999.0  # the format's own default
-    crs = None
+    crs, transform = None, transform_of(dataset)
     if north_up:
-        crs = check_grid(dataset, own, what, nodata is not None)
+        crs = check_grid(transform, (rows, cols), own, what, nodata is not None)
     if dataset.driver == "GTiff":
         check_blocks(dataset, band)
     return Raster(
@@ -187,7 +248,7 @@ def _header(
         part=part,
         band=band,
         shape=(rows, cols),
-        transform=dataset.transform,
+        transform=transform,
         own_crs=own,
         crs=crs,
         dtype=dataset.dtypes[band - 1],

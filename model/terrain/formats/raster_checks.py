@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 from rasterio.enums import ColorInterp
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
+from rasterio.transform import Affine, array_bounds
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.terrain.coordinate_systems import crs_name, warp_command
@@ -18,12 +21,26 @@ HEIGHTS = ("elevation", "z", "height", "dem", "topo", "altitude", "band1", "heig
 _MAX_BLOCK_BYTES = 1 << 30
 
 
-def check_grid(dataset: DatasetReader, own: str | None, what: str, nodata_declared: bool) -> str | None:
+def transform_of(dataset: DatasetReader) -> Affine:
+    """Return the transform from (column, row) to x, y; the identity where the file states none.
+
+    For a picture without a place, PGM for one, rasterio warns and returns memory that GDAL did not write.
+    """
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", NotGeoreferencedWarning)
+        terms = dataset.read_transform()
+    return Affine.identity() if said else Affine.from_gdal(*terms)
+
+
+def check_grid(
+    transform: Affine, shape: tuple[int, int], own: str | None, what: str, nodata_declared: bool
+) -> str | None:
     """Refuse a grid that is not north-up and square in true metres. Result: "EPSG:n" or WKT of its CRS."""
-    transform, crs = dataset.transform, None
+    crs = None
     if own:
         placed = transform.is_rectilinear and not transform.is_identity
-        crs = crs_name(own, tuple(dataset.bounds) if placed else None, nodata_declared=nodata_declared)
+        bounds = array_bounds(*shape, transform) if placed else None
+        crs = crs_name(own, bounds, nodata_declared=nodata_declared)
     if transform.is_identity:
         return crs
     if transform.b or transform.d:

@@ -6,6 +6,9 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 
@@ -15,7 +18,8 @@ _MOST_CELLS = 1e9
 """From the map's corner: GDAL counts cells in 32 bits, and draws nothing of a polygon that reaches further."""
 _LEAST_CORNERS = 3
 
-Ring = list[tuple[float, float]]
+Ring = list[tuple[float, ...]]
+"""x and y of each corner, and where it is given its height."""
 
 
 def polygons_of(document: Mapping[str, Any], source: str) -> list[tuple[dict[str, Any], Mapping[str, Any]]]:
@@ -46,6 +50,16 @@ def polygons_of(document: Mapping[str, Any], source: str) -> list[tuple[dict[str
 
 def corners_of(geometry: Mapping[str, Any]) -> Iterator[tuple[float, float]]:
     """Return the corners of a polygon of `polygons_of`."""
+    return ((x, y) for x, y, *_ in _whole_corners(geometry))
+
+
+def corners_with_heights(geometry: Mapping[str, Any]) -> NDArray[np.float64] | None:
+    """Return x, y and height [m] of the corners, (n, 3), each place once; None where one has no height."""
+    corners = {corner[:2]: corner for corner in map(tuple, _whole_corners(geometry))}
+    return np.array([*corners.values()]) if all(len(corner) > 2 for corner in corners.values()) else None
+
+
+def _whole_corners(geometry: Mapping[str, Any]) -> Iterator[Sequence[float]]:
     return (corner for polygon in geometry["coordinates"] for ring in polygon for corner in ring)
 
 
@@ -55,7 +69,7 @@ def named_crs(
     """The CRS of GeoJSON: what it names, or else degrees where it looks so and the map has another (RFC 7946)."""
     crs = document.get("crs")
     said = crs.get("properties") if isinstance(crs, Mapping) else None
-    name = said.get("name") if isinstance(said, Mapping) else crs
+    name = said.get("name", crs) if isinstance(said, Mapping) else crs  # a link to one is not followed
     if name is not None:
         if not isinstance(name, str):
             raise InputError(f"the crs of {source} is {_short(name)}: give its name, such as EPSG:32630")
@@ -95,12 +109,12 @@ def _list(nested: Any, source: str) -> Sequence[Any]:
 
 def _ring(ring: Any, source: str) -> Ring:
     try:
-        corners = [(float(corner[0]), float(corner[1])) for corner in _list(ring, source)]
-    except (TypeError, ValueError, IndexError, KeyError, OverflowError) as error:
+        corners = [(float(x), float(y), *map(float, z[:1])) for x, y, *z in _list(ring, source)]
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"a polygon of {source} has a corner that is not two numbers, x and y") from error
-    if not all(math.isfinite(x) and math.isfinite(y) for x, y in corners):
+    if not all(math.isfinite(value) for corner in corners for value in corner):
         raise InputError(f"a polygon of {source} has a corner that is not finite")
-    distinct = len(set(corners))
+    distinct = len({corner[:2] for corner in corners})
     if distinct < _LEAST_CORNERS:
         raise InputError(
             f"a ring of a polygon of {source} has {distinct} different corners: it needs {_LEAST_CORNERS}",

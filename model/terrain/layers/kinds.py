@@ -97,18 +97,10 @@ class Kind:
 
 @dataclass(frozen=True)
 class Legend:
-    """The kinds of ground of a layer, and the stored values that mean them.
+    """The kinds of ground of a layer, and the stored values that mean them."""
 
-    Attributes
-    ----------
-    kinds : tuple of Kind
-        Each once.
-    values : mapping of int to int
-        Stored value -> number of the kind. Empty where values were not given.
-    """
-
-    kinds: tuple[Kind, ...]
-    values: Mapping[int, int]
+    kinds: tuple[Kind, ...]  # Each once
+    values: Mapping[int, int]  # Stored value -> number of the kind. Empty where values were not given.
 
     def as_dict(self) -> dict[str, Any]:
         """Return what each kind costs and its values, by name, JSON-able."""
@@ -119,20 +111,7 @@ class Legend:
         return tables
 
     def unlisted(self, values: Iterable[float], share: float) -> str:
-        """Return what a user should know of values that a layer has and the legend has not.
-
-        Parameters
-        ----------
-        values : iterable of float
-            Without an entry, each once.
-        share : float
-            Of the layer's known cells, 0..1.
-
-        Returns
-        -------
-        str
-            A sentence without its subject; empty where there are none.
-        """
+        """Return what a user should know of values that a layer has and the legend has not."""
         lost = sorted(values)
         some = ", ".join(f"{value:g}" for value in lost[:_SHOWN]) + (", ..." if len(lost) > _SHOWN else "")
         return f"{100.0 * share:.3g}% has values that the legend does not name ({some}): of no kind" if lost else ""

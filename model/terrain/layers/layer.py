@@ -11,23 +11,27 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
 
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
+from joulemap.model.ranges import HEIGHT_M
 from joulemap.model.terrain.layers.kinds import MOST_FACTOR, Kind
 
-KINDS, OBSTACLES, FREE, FACTOR, COST = "kinds", "obstacles", "free", "factor", "cost"
+KINDS, OBSTACLES, FREE, FACTOR, COST, HEIGHT = "kinds", "obstacles", "free", "factor", "cost", "height"
 ROLES = {
     KINDS: "kinds of ground",
     OBSTACLES: "what no part of the robot may be over; unknown is free",
     FREE: "the only ground that the robot may be over; unknown and what lies outside is an obstacle",
     FACTOR: "a factor by which the energy of motion is multiplied",
     COST: "energy that is added [J/m]",
+    HEIGHT: "heights in place of the map's, as of bridges and ramps [m]",
 }
 """What a layer may be of."""
 
-LIMITS = {FACTOR: (0.0, MOST_FACTOR), COST: (0.0, 1e6)}
-"""Of the numbers of a layer. Below 0 driving would give energy; 1 MJ/m lifts a tonne by a hundred metres."""
+LIMITS = {FACTOR: (0.0, MOST_FACTOR), COST: (0.0, 1e6), HEIGHT: (HEIGHT_M.low, HEIGHT_M.high)}
+"""Of the numbers of a layer. With a factor or cost below 0 driving would give energy; 1 MJ/m lifts a tonne by a hundred
+metres."""
 
 CostFunction = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], ArrayLike]
 """Of x, y [m] and heading [rad] of n places: what is added there [J/m], (n,)."""
@@ -113,6 +117,45 @@ class Layer:
         found = self.at(x, y)
         return np.asarray(found >= 0 if self.role == KINDS else ~np.isnan(found))
 
+    def over(self, heights: NDArray[np.float32], frame: GridFrame) -> NDArray[np.float32]:
+        """Return the heights of a map with those of this layer where it has any.
+
+        Parameters
+        ----------
+        heights : ndarray of float32, (rows, cols)
+            Of the map [m].
+        frame : GridFrame
+            Its cells.
+
+        Returns
+        -------
+        ndarray of float32, (rows, cols)
+            Bilinear between cells of the layer that are known; beside unknown ones that of the nearest cell.
+        """
+        assert self.frame is not None
+        assert self.values is not None
+        west, south, east, north = self._known_bounds
+        x, y = frame.centres()
+        rows, cols = np.flatnonzero((y >= south) & (y <= north)), np.flatnonzero((x >= west) & (x <= east))
+        x, y, there = x[cols], y[rows], np.ix_(rows, cols)
+        row, col = np.meshgrid(self.frame.rowcol(0.0, y)[0], self.frame.rowcol(x, 0.0)[1], indexing="ij")
+        nearest, smooth = self.at(x, y[:, None]), map_coordinates(self.values, [row, col], order=1, mode="nearest")
+        heights = heights.copy()
+        own = np.where(np.isnan(smooth), nearest, smooth)
+        heights[there] = np.where(np.isnan(nearest), heights[there], own)
+        return heights
+
+    @cached_property
+    def _known_bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east and north [m] of the cells whose number is known."""
+        assert self.frame is not None
+        assert self.values is not None
+        known = ~np.isnan(self.values)
+        rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+        if not rows.size:
+            return math.inf, math.inf, -math.inf, -math.inf
+        return self.frame.window(rows[0], rows[-1] + 1, cols[0], cols[-1] + 1).bounds
+
     @property
     def closes(self) -> bool:
         """Whether it may have obstacles."""
@@ -154,26 +197,14 @@ class Layer:
 
 
 def check_numbers(role: str, values: NDArray[Any], source: str) -> None:
-    """Refuse a factor or a cost beyond its limits; NaN is unknown.
+    """Refuse numbers beyond the limits of their role; NaN is unknown.
 
-    Parameters
-    ----------
-    role : str
-        FACTOR or COST.
-    values : ndarray
-        Its numbers.
-    source : str
-        The layer, in words.
-
-    Raises
-    ------
-    InputError
-        With the first number that is beyond, and the limits.
+    Raises InputError with the first number that is beyond, and the limits.
     """
     low, high = LIMITS[role]
     beyond = values[(values < low) | (values > high)]
     if beyond.size:
-        unit = " J/m" if role == COST else ""
+        unit = {COST: " J/m", HEIGHT: " m"}.get(role, "")
         raise InputError(
             f"a {role} in {source} is {float(beyond[0]):g}{unit}, and the limits are {low:g} and {high:g}{unit}",
             value=str(float(beyond[0])),
@@ -182,19 +213,6 @@ def check_numbers(role: str, values: NDArray[Any], source: str) -> None:
 
 
 def check_legend(given: object, roles: Iterable[str]) -> None:
-    """Refuse a legend without a layer that it is of.
-
-    Parameters
-    ----------
-    given : object
-        The legend; None or empty where there is none.
-    roles : iterable of str
-        Of the layers.
-
-    Raises
-    ------
-    InputError
-        If none of them is of kinds of ground.
-    """
+    """Refuse a legend without a layer that it is of. Raises InputError if none of them is of kinds of ground."""
     if given and KINDS not in roles:
         raise InputError("there is a legend, and no layer of kinds of ground that it is of: give one, or no legend")

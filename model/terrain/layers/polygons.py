@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rasterio.transform import Affine
 
 from joulemap.model.errors import InputError
@@ -17,7 +18,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.crs_text import known_crs
 from joulemap.model.terrain.formats.gdal import is_gdal_error
-from joulemap.model.terrain.layers.geojson import check_reach, corners_of, named_crs, polygons_of
+from joulemap.model.terrain.layers.geojson import check_reach, corners_of, corners_with_heights, named_crs, polygons_of
 from joulemap.model.terrain.layers.kinds import (
     MOST_KINDS,
     MOST_LETTERS,
@@ -27,7 +28,7 @@ from joulemap.model.terrain.layers.kinds import (
     named_kinds,
     plain_name,
 )
-from joulemap.model.terrain.layers.layer import FREE, KINDS, OBSTACLES, Layer, check_legend, check_numbers
+from joulemap.model.terrain.layers.layer import FREE, HEIGHT, KINDS, OBSTACLES, Layer, check_numbers
 from joulemap.model.terrain.readers import source_of
 
 _UNLISTED = -2  # drawn where a polygon has a value that the legend has not
@@ -42,8 +43,9 @@ def polygon_layer(
 ) -> Layer:
     """Return the layer of polygons in GeoJSON, drawn on cells as small as the heightmap's.
 
-    Features of kinds name theirs, those of a factor or of costs have a property of that name. An obstacle is every cell
-    that a polygon touches; of the others it is each whose middle lies in one.
+    Features of kinds name theirs, those of a factor, of costs or of heights have a property of that name; heights may
+    also be given at each corner, and are linear between. An obstacle is every cell that a polygon touches; of the
+    others it is each whose middle lies in one.
     """
     from rasterio.features import rasterize  # loads slowly
     from rasterio.warp import transform_geom
@@ -60,7 +62,7 @@ def polygon_layer(
                     raise
                 raise InputError(f"a polygon of {source} cannot be in {named}: {str(error)[:100]}") from error
         check_reach(geometry, ground, source)
-        shapes.append((geometry, _meant(role, properties, source, legend)))
+        shapes.append((geometry, _meant(role, geometry, properties, source, legend)))
     if role == KINDS and not any(isinstance(meant, str) for _, meant in shapes):
         raise InputError(f"none of the values of {source} is in the legend: the first is {shapes[0][1]:g}")
     if not any(_meets(geometry, ground) for geometry, _ in shapes):
@@ -78,6 +80,9 @@ def polygon_layer(
         kinds, usual = tuple(known.values()), -1
         numbers = {name: k for k, name in enumerate(known)}
         shapes = [(geometry, numbers.get(meant, _UNLISTED)) for geometry, meant in shapes]
+    surfaces = [meant for _, meant in shapes]
+    if role == HEIGHT:
+        shapes = [(geometry, number) for number, (geometry, _) in enumerate(shapes)]
     drawn = rasterize(
         shapes, out_shape=ground.shape, transform=transform, all_touched=role == OBSTACLES, fill=usual, dtype=np.float64
     )
@@ -88,7 +93,28 @@ def polygon_layer(
     if role in (OBSTACLES, FREE):
         inside = ~np.isnan(drawn)
         return Layer(role, source, ground, inside if role == OBSTACLES else ~inside)
-    return Layer(role, source, ground, drawn)
+    return Layer(role, source, ground, _heights(drawn, surfaces, ground) if role == HEIGHT else drawn)
+
+
+def _heights(
+    drawn: NDArray[np.float64], surfaces: Sequence[float | NDArray[np.float64]], ground: GridFrame
+) -> NDArray[np.float64]:
+    """Heights of cells by the numbers of their polygons: level, or linear between heights of corners (n, 3)."""
+    from scipy.interpolate import LinearNDInterpolator  # loads slowly
+
+    heights = np.full(drawn.shape, np.nan)
+    rows, cols = np.nonzero(~np.isnan(drawn))
+    numbers = drawn[rows, cols]
+    for number in np.unique(numbers).astype(int):
+        cells, surface = (rows[numbers == number], cols[numbers == number]), surfaces[number]
+        if isinstance(surface, np.ndarray):
+            middle = surface.mean(axis=0) * (1.0, 1.0, 0.0)
+            x, y = ground.xy(*cells)
+            linear = LinearNDInterpolator((surface - middle)[:, :2], surface[:, 2])
+            heights[cells] = linear(x - middle[0], y - middle[1])
+        else:
+            heights[cells] = surface
+    return heights
 
 
 def _meets(geometry: Mapping[str, Any], ground: GridFrame) -> bool:
@@ -100,7 +126,6 @@ def _meets(geometry: Mapping[str, Any], ground: GridFrame) -> bool:
 
 def check_polygons(sent: Mapping[str, Mapping[str, Any]], ground: GridFrame, legend: Mapping[str, Any]) -> None:
     """Refuse layers of polygons that somebody sent for a heightmap, without drawing them. Raises InputError."""
-    check_legend(legend, sent)
     named, count, side_m = legend_of(legend) if legend else None, 0, ground.bounds[2] - ground.west_m
     whole = replace(ground, resolution_m=side_m, rows=1, cols=1)
     for role, document in sent.items():
@@ -111,14 +136,20 @@ def check_polygons(sent: Mapping[str, Mapping[str, Any]], ground: GridFrame, leg
         polygon_layer(role, document, whole, legend=named, source=source)
 
 
-def _meant(role: str, properties: Mapping[str, Any], source: str, legend: Legend | None) -> Any:
+def _meant(
+    role: str, geometry: Mapping[str, Any], properties: Mapping[str, Any], source: str, legend: Legend | None
+) -> Any:
     if role in (OBSTACLES, FREE):
         return 1.0
     keys = _NAMES if role == KINDS else (role, "value")
     value = next((properties[key] for key in keys if properties.get(key) is not None), None)
+    if value is None and role == HEIGHT and (corners := corners_with_heights(geometry)) is not None:
+        check_numbers(role, corners[:, 2], source)
+        return corners
     if value is None:
+        or_so = ", or a height at each corner" if role == HEIGHT else ""
         raise InputError(
-            f"a polygon of {source} does not say its {role}: give it the property {keys[0]!r}", key=keys[0]
+            f"a polygon of {source} does not say its {role}: give it the property {keys[0]!r}{or_so}", key=keys[0]
         )
     if role == KINDS:
         return _kind_meant(value, source, legend)

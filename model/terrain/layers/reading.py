@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,9 +68,16 @@ def read_layer(
 
 
 def read_layers(
-    files: LayerFiles, ground: GridFrame, *, legend: str | Path | Mapping[str, Any] | None = None
+    files: LayerFiles,
+    ground: GridFrame,
+    *,
+    legend: str | Path | Mapping[str, Any] | None = None,
+    names: Mapping[str, str] = MappingProxyType({}),
 ) -> Layers:
-    """Read the layers of a heightmap from files, by what they are of. `legend`: a TOML file, or its tables."""
+    """Read the layers of a heightmap from files, by what they are of.
+
+    `legend`: a TOML file, or its tables; `names`: what messages call the files that have other names than their own.
+    """
     named = None if legend is None else legend_of(legend) if isinstance(legend, Mapping) else read_legend(legend)
     check_legend(legend, files)
     every = [
@@ -77,7 +85,17 @@ def read_layers(
         for role, some in files.items()
         for one in ([some] if isinstance(some, str | Path | bytes) else some)
     ]
-    return Layers(tuple(read_layer(role, one, ground, legend=named) for role, one in every))
+    return Layers(
+        tuple(
+            read_layer(role, one, ground, legend=named, filename=names.get(role) or _name_of(role, one))
+            for role, one in every
+        )
+    )
+
+
+def _name_of(role: str, source: str | Path | bytes) -> str | None:
+    """The name of a layer that has none of its own."""
+    return f"areas of {role}" if isinstance(source, bytes) else None
 
 
 def layer_of(
@@ -85,12 +103,14 @@ def layer_of(
 ) -> Layer:
     """Return the layer of numbers: NaN is unknown, and other numbers than 0 are obstacles, or free ground."""
     values, frame = _on_grid(raster, ground, source)
+    nowhere = "no coordinate reference system is known: it was taken for the map's"
+    remark = nowhere if raster.crs is None and ground.crs is not None else ""
     if role == KINDS:
-        return _of_kinds(values, frame, legend, source)
+        return _of_kinds(values, frame, legend, source, remark)
     if role in (OBSTACLES, FREE):
         occupied = np.nan_to_num(values, nan=0.0) != 0.0
-        return Layer(role, source, frame, occupied if role == OBSTACLES else ~occupied)
-    return Layer(role, source, frame, values)
+        return Layer(role, source, frame, occupied if role == OBSTACLES else ~occupied, remark=remark)
+    return Layer(role, source, frame, values, remark=remark)
 
 
 def array_layer(role: str, values: NDArray[Any], ground: GridFrame, *, legend: Legend | None = None) -> Layer:
@@ -122,6 +142,17 @@ def _raster(file: SourceFile, ground: GridFrame) -> Raster:
     a, b, c, d, e, f = raster.transform[:6]
     corner = Affine(a, b, a * col0 + b * row0 + c, d, e, d * col0 + e * row0 + f)
     return Raster(values, corner, raster.own_crs)
+
+
+def check_raster(role: str, own: GridFrame, ground: GridFrame, legend: Mapping[str, Any], *, source: str) -> None:
+    """Refuse a raster that somebody sent as a layer of a heightmap, without reading it. Raises InputError.
+
+    `own`: its grid; `ground`: that of the heightmap; `legend`: tables of the kinds of ground.
+    """
+    corner = Affine(own.resolution_m, 0.0, own.west_m, 0.0, -own.resolution_m, own.north_m)
+    _under(ground, corner, own.crs, own.shape, source)
+    if role == KINDS and not (legend and legend_of(legend).values):
+        raise InputError(f"the legend gives no `value`: say which numbers of {source} are which kinds of ground")
 
 
 def opened_layer(file: SourceFile, scaling: Scaling) -> Any:
@@ -199,7 +230,7 @@ def _on_grid(raster: Raster, ground: GridFrame, name: str) -> tuple[NDArray[Any]
     return found.reshape(frame.shape), frame
 
 
-def _of_kinds(values: NDArray[Any], frame: GridFrame, legend: Legend | None, source: str) -> Layer:
+def _of_kinds(values: NDArray[Any], frame: GridFrame, legend: Legend | None, source: str, remark: str) -> Layer:
     stored = np.unique(values[~np.isnan(values)])
     if legend is None or not legend.values:
         some = ", ".join(f"{value:g}" for value in stored[:8])
@@ -219,5 +250,5 @@ def _of_kinds(values: NDArray[Any], frame: GridFrame, legend: Legend | None, sou
     valued = set(legend.values.values())
     nowhere = [kind.name for number, kind in enumerate(legend.kinds) if number not in valued]
     of_none = f"no cell is of {', '.join(nowhere)}: the legend gives no value" if nowhere else ""
-    remark = "; ".join(filter(None, (legend.unlisted(lost, share), of_none)))
+    remark = "; ".join(filter(None, (remark, legend.unlisted(lost, share), of_none)))
     return Layer(KINDS, source, frame, numbers, legend.kinds, remark=remark)

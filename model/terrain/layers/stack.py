@@ -14,7 +14,7 @@ from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.layers.kinds import Kind
-from joulemap.model.terrain.layers.layer import COST, FACTOR, FREE, KINDS, Layer, check_numbers
+from joulemap.model.terrain.layers.layer import COST, FACTOR, FREE, HEIGHT, KINDS, Layer, check_numbers
 
 _PLACES = 100_000  # of a map, for shares
 _INSIDE = 1e-6  # of a square: what only touches it is not in it
@@ -188,6 +188,25 @@ class Layers:
             traction_per_m = traction_per_m + cost.astype(traction_per_m.dtype)
         return traction_per_m
 
+    def over(self, heights: NDArray[np.float32], frame: GridFrame) -> NDArray[np.float32]:
+        """Return the heights of a map with those of layers of heights in their place.
+
+        Parameters
+        ----------
+        heights : ndarray of float32, (rows, cols)
+            Of the map [m].
+        frame : GridFrame
+            Its cells.
+
+        Returns
+        -------
+        ndarray of float32, (rows, cols)
+            Of several layers the last one that knows a place counts.
+        """
+        for layer in self.of(HEIGHT):
+            heights = layer.over(heights, frame)
+        return heights
+
     @property
     def closing(self) -> list[Layer]:
         """The layers that may have obstacles."""
@@ -239,7 +258,12 @@ class Layers:
         for layer in self.each:
             if layer.remark:
                 found.append(f"of the layer {layer.source} {layer.remark}")
-            if layer.frame is not None and (share := float(layer.knows(x, y).mean())) < 1.0 - 1e-3:
+            if layer.role == HEIGHT:
+                assert layer.frame is not None
+                assert layer.values is not None
+                area = np.count_nonzero(~np.isnan(layer.values)) * layer.frame.resolution_m**2
+                found.append(f"the layer {layer.source} gives the heights of {area:,.1f} m2, in place of the map's")
+            elif layer.frame is not None and (share := float(layer.knows(x, y).mean())) < 1.0 - 1e-3:
                 outside = "an obstacle" if layer.role == FREE else "as without it"
                 found.append(f"the layer {layer.source} covers {100.0 * share:.3g}% of the map: the rest is {outside}")
         free = [k.name for k in self.kinds if k.rolling_resistance is None and k.factor is None and not k.blocked]

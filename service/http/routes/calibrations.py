@@ -18,11 +18,11 @@ from joulemap.service.exports.track import track_of_drive
 from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import problems
 from joulemap.service.http.quick_json import QuickJsonRoute
-from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, route_file_wanted
-from joulemap.service.http.routes.waiting import Prefer, job_answer
+from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, file_response, route_file_wanted
+from joulemap.service.http.routes.jobs import Prefer, job_answer
 from joulemap.service.http.service import Service
 from joulemap.service.loop.calibration import campaigns_of, refuse_calibrated
-from joulemap.service.places import Places
+from joulemap.service.places.places import Places
 from joulemap.service.questions.calibrating import CalibrationRequest
 from joulemap.service.schemas.base import UnreadableOut, robot_values
 from joulemap.service.schemas.kept import calibration_out, listed, shown
@@ -61,7 +61,7 @@ async def make_calibration(wanted: CalibrationRequest, service: ServiceDep, pref
 @router.get("", responses=problems())
 def list_calibrations(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> CalibrationList:
     """All calibrations, newest first."""
-    rows, total = service.store.calibrations(limit=limit, offset=offset)
+    rows, total = service.store.page(CalibrationRow, limit=limit, offset=offset)
     return CalibrationList(total=total, items=listed(rows, partial(calibration_out, with_report=False)))
 
 
@@ -79,7 +79,7 @@ def get_calibration(calibration_id: str, service: ServiceDep) -> CalibrationOut:
 def get_report(calibration_id: str, service: ServiceDep) -> HTMLResponse:
     """The report with its figures, in one file that loads nothing else."""
     row = service.done_calibration(calibration_id)
-    folder = service.store.here(service.store.calibration_folder(row.id))
+    folder = service.store.intact(CalibrationRow, row.id, service.store.path(CalibrationRow, row.id))
     return HTMLResponse((folder / PAGE).read_bytes(), headers={"Content-Security-Policy": _POLICY})
 
 
@@ -87,7 +87,7 @@ def get_report(calibration_id: str, service: ServiceDep) -> HTMLResponse:
 def get_segments(calibration_id: str, service: ServiceDep) -> Response:
     """Measured and predicted energy of each segment, before and after, by run; at most 20,000 segments."""
     row = service.done_calibration(calibration_id)
-    file = service.store.here(service.store.calibration_folder(row.id)) / SEGMENTS
+    file = service.store.intact(CalibrationRow, row.id, service.store.path(CalibrationRow, row.id)) / SEGMENTS
     if not file.exists():
         raise NotFoundError(f"{row.id} is of a version that kept no segments: calibrate again", id=row.id)
     return Response(file.read_bytes(), media_type="application/json")
@@ -104,10 +104,7 @@ def get_next_drive(
     """What to drive next: the route that best separates confounded effects or narrows a coefficient."""
     row = service.done_calibration(calibration_id)
     file, drive = route_file_wanted(format, None, coordinates), (row.summary or {})["report"]["next_drive"]
-    if file.chosen is None:
-        return drive
-    track = track_of_drive(drive)
-    return file.response(track, f"{row.id}-next-drive")
+    return drive if file is None else file_response(file, track_of_drive(drive), f"{row.id}-next-drive")
 
 
 @router.delete("/{calibration_id}", status_code=204, responses=problems(404, 409))

@@ -11,19 +11,24 @@ from starlette.datastructures import FormData
 from starlette.exceptions import HTTPException
 
 from joulemap.model.energy.predictor import MODEL_NAMES
+from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.model.terrain.layers.layer import check_legend
 from joulemap.model.terrain.layers.polygons import check_polygons
-from joulemap.service.cost_lattices import check_lattice
+from joulemap.model.terrain.layers.reading import check_raster
+from joulemap.service.analysis.cost_lattices import check_lattice
 from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import costmap_body, problems
-from joulemap.service.http.routes.waiting import Prefer, job_answer
+from joulemap.service.http.routes.jobs import Prefer, job_answer
 from joulemap.service.http.service import Service
 from joulemap.service.http.uploads import arriving, invalid, media_type, take_form
+from joulemap.service.questions.costmap import CostmapOptions, CostmapRequest, RasterLayerIn
 from joulemap.service.questions.reading import UploadOptions
 from joulemap.service.schemas.base import UnreadableOut, robot_values
 from joulemap.service.schemas.kept import costmap_out, listed, shown
-from joulemap.service.schemas.maps import CostmapOptions, CostmapOut, CostmapRequest
+from joulemap.service.schemas.maps import CostmapOut
+from joulemap.service.storage.stats import frame_of_stats
 from joulemap.service.storage.tables import CostmapRow, HeightmapRow
 
 router = APIRouter(prefix="/costmaps", tags=["cost maps"])
@@ -74,7 +79,7 @@ async def make_costmap(
 @router.get("", responses=problems())
 def list_costmaps(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> CostmapList:
     """All cost maps, finished or not, newest first."""
-    rows, total = service.store.costmaps(limit=limit, offset=offset)
+    rows, total = service.store.page(CostmapRow, limit=limit, offset=offset)
     return CostmapList(total=total, items=listed(rows, costmap_out))
 
 
@@ -119,24 +124,36 @@ def _check_settings(service: Service, wanted: CostmapOptions) -> None:
         service.find_predictor(wanted.model)
 
 
-def _checked_layers(wanted: CostmapOptions, frame: GridFrame) -> dict[str, Any]:
-    """The layers of a request, as a job keeps them. Raises InputError where one is no layer of this map."""
+def _checked_layers(service: Service, wanted: CostmapOptions, frame: GridFrame) -> dict[str, Any]:
+    """The layers of a request, as a job keeps them.
+
+    Raises InputError where one is no layer of this map; NotFoundError where a raster is not there.
+    """
     if not wanted.layers and not wanted.legend:
         return {}
     legend = {name: kind.model_dump(exclude_defaults=True) for name, kind in wanted.legend.items()}
-    layers: dict[str, Any] = {str(role): polygons for role, polygons in wanted.layers.items()}
-    check_polygons(layers, frame, legend)
+    check_legend(legend, wanted.layers)
+    layers, polygons = dict[str, Any](), dict[str, dict[str, Any]]()
+    for role, layer in wanted.layers.items():
+        if isinstance(layer, RasterLayerIn):
+            sent = service.store.heightmap(layer.heightmap_id)
+            check_raster(role, frame_of_stats(sent.stats), frame, legend, source=sent.name)
+            layers[role] = layer.model_dump()
+        else:
+            layers[role] = polygons[role] = layer
+    check_polygons(polygons, frame, legend)
     return {"layers": layers, "legend": legend}
 
 
 def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) -> CostmapRow:
     stats = heightmap.stats
-    west, _, _, north = stats["bounds"]
-    frame = GridFrame(west, north, stats["resolution_m"], stats["rows"], stats["cols"], stats["crs"])
+    if stats.get("layer"):
+        raise InputError(f"{heightmap.id} ({heightmap.name}) was sent as a layer: it has no heights", id=heightmap.id)
+    frame = frame_of_stats(stats)
     limit = service.settings.max_lattice_values
     tiling = check_lattice(frame, spacing_m=wanted.spacing_m, headings=wanted.headings, max_values=limit)
     robot = Robot.from_mapping(robot_values(wanted.robot))
-    over = _checked_layers(wanted, frame)
+    over = _checked_layers(service, wanted, frame)
     service.check_room()
     row = service.store.add_costmap(
         heightmap.id,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from typing import Any
+from collections.abc import AsyncIterator, Callable
+from functools import partial
+from typing import Annotated, Any
 
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Query, Request, Response
 from sse_starlette import ServerSentEvent
 
 from joulemap.model.errors import ConflictError, NotFoundError
@@ -15,9 +16,11 @@ from joulemap.service.http.asked import answer_of
 from joulemap.service.http.dependencies import KernelsDep, Limit, Offset, ServiceDep
 from joulemap.service.http.document_rules import event_schema
 from joulemap.service.http.documents import problems
+from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.service import Service
+from joulemap.service.http.work_queue import OwnWork, WorkQueue
 from joulemap.service.questions.drive import DriveRequest, UpdateRequest
-from joulemap.service.schemas.driving import DriveList, DriveOut, drive_out
+from joulemap.service.schemas.driving import BetterOut, ChargeOut, DriveList, DriveOut, drive_out
 
 _DELETED = "deleted"
 _EVENTS: dict[int | str, dict[str, Any]] = {
@@ -53,25 +56,55 @@ async def update_drive(drive_id: str, wanted: UpdateRequest, service: KernelsDep
     answered may be sent again: a sample that is there already changes nothing, and is counted in `unused`, as one that
     is too late. A sample more than an hour after the one before is refused.
     """
-    row = await run_sync(service.store.drive, drive_id)
 
     def _update() -> Response:
-        try:
-            service.done_costmap(row.costmap_id)
-        except NotFoundError:
-            raise ConflictError(
-                f"the cost map {row.costmap_id} of drive {drive_id} was deleted: begin a drive over another one",
-                costmap_id=row.costmap_id,
-            ) from None
-        return answer_of(drive_out(service.drives.update(service.store, drive_id, wanted)))
+        return answer_of(service.drives.update(service.store, drive_id, wanted))
 
-    return await service.prices.do(row.costmap_id, _update)
+    return await _over_its_map(service, drive_id, _update, service.prices)
+
+
+@router.get("/drives/{drive_id}/charge", response_model=ChargeOut, responses=problems(404, 409, 503))
+async def charge_of_drive(drive_id: str, service: KernelsDep) -> Response:
+    """Return the state of charge along the route: what it was behind the robot, and what is expected ahead of it."""
+
+    def _charge() -> Response:
+        with service.drives.as_it_is(service.store, drive_id) as drive:
+            state = drive.tracking.state
+            values = {
+                "at_m": state.at_m,
+                "position": None if state.last is None else [state.last.x, state.last.y],
+                "reserve": drive.battery.reserve,
+                "places": [place._asdict() for place in drive.charge_along()],
+            }
+        return answer_of(ChargeOut.model_validate(values))
+
+    return await _over_its_map(service, drive_id, _charge, service.prices)
+
+
+@router.get("/drives/{drive_id}/better-route", response_model=BetterOut, responses=problems(404, 409, 413, 503))
+async def better_route_of_drive(drive_id: str, request: Request, service: KernelsDep) -> Response:
+    """Look for another way to the goal that has become cheaper by more than its uncertainty.
+
+    It is a search over the cost map at what driving costs in this run, so ask for it where an alarm or the verdict
+    gives a reason.
+    """
+
+    def _look() -> Response:
+        found = service.drives.better(service.store, drive_id)
+        return answer_of(BetterOut.model_validate({"route": None if found is None else found.as_dict()}))
+
+    return await while_connected(request, _over_its_map(service, drive_id, _look, service.plans))
 
 
 @router.get("/drives", responses=problems())
-def list_drives(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> DriveList:
+def list_drives(
+    service: ServiceDep,
+    limit: Limit = 100,
+    offset: Offset = 0,
+    costmap_id: Annotated[str | None, Query(max_length=100, description="only those over this cost map")] = None,
+) -> DriveList:
     """All drives, newest first."""
-    rows, total = service.store.drives(limit=limit, offset=offset)
+    rows, total = service.store.drives(limit=limit, offset=offset, costmap_id=costmap_id)
     return DriveList(total=total, items=[drive_out(row) for row in rows])
 
 
@@ -84,7 +117,7 @@ def get_drive(drive_id: str, service: ServiceDep) -> DriveOut:
 @router.get("/drives/{drive_id}/events", response_class=EventStream, responses=_EVENTS)
 async def watch_drive(drive_id: str, service: ServiceDep) -> EventStream:
     """Watch a drive, as server-sent events: `forecast` now and at every update, `deleted` at the end."""
-    await run_sync(service.store.drive, drive_id)
+    await run_sync(partial(service.store.drive, drive_id, whole=False))
     return EventStream(_events(service, drive_id))
 
 
@@ -93,6 +126,28 @@ def delete_drive(drive_id: str, service: ServiceDep) -> None:
     """Delete a drive."""
     service.store.delete_drive(drive_id)
     service.drives.forget(drive_id)
+
+
+async def _over_its_map(
+    service: Service, drive_id: str, work: Callable[[], Response], queue: WorkQueue | OwnWork
+) -> Response:
+    """Do in a queue what needs the cost map of a drive. Raises ConflictError if that was deleted."""
+    row = service.drives.known_row(service.store, drive_id)
+    if row is None:
+        row = await run_sync(partial(service.store.drive, drive_id, whole=False))
+    costmap_id = row.costmap_id
+
+    def _work() -> Response:
+        try:
+            service.done_costmap(costmap_id)
+        except NotFoundError:
+            raise ConflictError(
+                f"the cost map {costmap_id} of drive {drive_id} was deleted: begin a drive over another one",
+                costmap_id=costmap_id,
+            ) from None
+        return work()
+
+    return await queue.do(costmap_id, _work)
 
 
 async def _events(service: Service, drive_id: str) -> AsyncIterator[ServerSentEvent]:

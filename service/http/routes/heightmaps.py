@@ -14,6 +14,7 @@ from joulemap.service.questions.reading import UploadOptions
 from joulemap.service.schemas.base import UnreadableOut
 from joulemap.service.schemas.kept import heightmap_out, listed, shown
 from joulemap.service.schemas.maps import HeightmapOut
+from joulemap.service.storage.tables import HeightmapRow
 
 router = APIRouter(prefix="/heightmaps", tags=["heightmaps"])
 
@@ -43,7 +44,7 @@ async def send_heightmap(
 @router.get("", responses=problems())
 def list_heightmaps(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> HeightmapList:
     """All heightmaps, newest first."""
-    rows, total = service.store.heightmaps(limit=limit, offset=offset)
+    rows, total = service.store.page(HeightmapRow, limit=limit, offset=offset)
     return HeightmapList(total=total, items=listed(rows, heightmap_out))
 
 

@@ -11,39 +11,42 @@ import numpy as np
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import JSONResponse
+from pydantic import BaseModel, Field
 
 from joulemap.model.ranges import HEADING_DEG
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.stored_lattice import StoredLattice
-from joulemap.planner.stored_planner import StoredPlanner
-from joulemap.service.ground_drawing import REASONS
-from joulemap.service.http.dependencies import KernelsDep, ServiceDep
-from joulemap.service.http.documents import problems
+from joulemap.service.http.dependencies import CostmapDep, OnCostmap, ServiceDep
+from joulemap.service.http.documents import BINARY, problems
 from joulemap.service.http.long_questions import while_connected
-from joulemap.service.http.service import Service
-from joulemap.service.map_drawing import VIEWS
-from joulemap.service.map_layers import (
+from joulemap.service.render.energy_colours import VIEWS, colour_scale, scale_colours
+from joulemap.service.render.ground_drawing import REASONS
+from joulemap.service.render.map_layers import (
     blocked_layer,
     coarse_heights,
-    colour_scale,
     energy_layer,
     ground_layer,
     layer_bounds,
     overview,
-    scale_colours,
 )
-from joulemap.service.map_pieces import MOST_LEVELS, MOST_PIECES, PIECE_PIXELS, Look, draw_piece, levels_of, look_of
-from joulemap.service.map_shapes import contours, lat_lon, roses
-from joulemap.service.raster_shading import centres, thinned
+from joulemap.service.render.map_pieces import (
+    MOST_LEVELS,
+    MOST_PIECES,
+    PIECE_PIXELS,
+    Look,
+    draw_piece,
+    levels_of,
+    look_of,
+)
+from joulemap.service.render.map_shapes import contours, lat_lon, roses
+from joulemap.service.render.raster_shading import centres, thinned
 from joulemap.service.schemas.answers import number
 from joulemap.service.schemas.base import Coordinate, within
-from joulemap.service.schemas.layers import BlockedColourOut, ColourScaleOut, LayersOut, RosesOut, SurfaceOut
+from joulemap.service.schemas.maps import BlockedColourOut, ColourScaleOut, LayersOut, RosesOut, SurfaceOut
 
 router = APIRouter()
 _MAPS: list[Any] = ["cost maps"]
-_PICTURE: dict[int | str, dict[str, Any]] = {
-    200: {"description": "A picture", "content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
-}
+_PICTURE: dict[int | str, dict[str, Any]] = {200: {"description": "A picture", "content": {"image/png": BINARY}}}
 _KEPT = {"Cache-Control": "private, max-age=3600"}  # a cost map and a heightmap never change
 _SURFACE_PIXELS = 220
 _OVERVIEWS: dict[str, CostLattice] = {}  # of the large cost map that was asked about last
@@ -51,6 +54,22 @@ _LOOKS: OrderedDict[str, Look] = OrderedDict()  # of the cost maps whose pieces 
 _MOST_LOOKS = 16
 _LOCK = threading.Lock()
 Answer = Callable[[CostLattice], Response]
+
+
+class PieceQuery(BaseModel):
+    """Which piece, and what it shows."""
+
+    level: Annotated[int, Field(ge=0, lt=MOST_LEVELS, description="a pixel is 2^level x 2^level cells")] = 0
+    row: Annotated[int, Field(ge=0, le=MOST_PIECES, description="of the pieces of this level, from the north")] = 0
+    col: Annotated[int, Field(ge=0, le=MOST_PIECES, description="of the pieces of this level, from the west")] = 0
+    view: Annotated[
+        Literal["mean", "directionality", "heading", "ground"], Field(description="as of `layer.png`; or ground alone")
+    ] = "mean"
+    heading_deg: Annotated[
+        Annotated[float, within(HEADING_DEG)] | None,
+        Field(description="of energy and blocked ground: clockwise from north [deg]"),
+    ] = None
+    blocked: Annotated[bool, Field(description="whether blocked ground is hatched")] = True
 
 
 class GeoJson(JSONResponse):
@@ -77,9 +96,9 @@ async def get_ground(heightmap_id: str, service: ServiceDep, request: Request) -
 
 
 @router.get("/costmaps/{costmap_id}/layers", tags=_MAPS, response_model=LayersOut, responses=problems(404, 409, 503))
-async def get_layers(costmap_id: str, service: KernelsDep, request: Request) -> Response:
+async def get_layers(on: CostmapDep) -> Response:
     """Where the layers of `layer.png` lie, what their colours mean, and where on Earth they are."""
-    row = await run_sync(service.done_costmap, costmap_id)
+    row = await on.row()
     shape = (row.summary or {})["frame"]
 
     def _describe(lattice: CostLattice) -> Response:
@@ -100,7 +119,7 @@ async def get_layers(costmap_id: str, service: KernelsDep, request: Request) -> 
         )
         return Response(found.model_dump_json(), media_type="application/json", headers=_KEPT)
 
-    return await _of_lattice(costmap_id, service, request, _describe)
+    return await _of_lattice(on, _describe)
 
 
 @router.get(
@@ -110,9 +129,7 @@ async def get_layers(costmap_id: str, service: KernelsDep, request: Request) -> 
     responses={**_PICTURE, **problems(404, 409, 503)},
 )
 async def get_layer(
-    costmap_id: str,
-    service: KernelsDep,
-    request: Request,
+    on: CostmapDep,
     layer: Annotated[
         Literal["ground", "energy", "blocked"],
         Query(description="ground: shaded heights; energy: J/m in colour; blocked: hatched by reason"),
@@ -138,7 +155,7 @@ async def get_layer(
             picture = blocked_layer(lattice, heading_deg=heading_deg)
         return Response(picture, media_type="image/png", headers=_KEPT)
 
-    return await _of_lattice(costmap_id, service, request, _draw)
+    return await _of_lattice(on, _draw)
 
 
 @router.get(
@@ -157,7 +174,7 @@ async def get_layer(
         **problems(404, 409, 503),
     },
 )
-async def get_contours(costmap_id: str, service: KernelsDep, request: Request) -> Response:
+async def get_contours(on: CostmapDep) -> Response:
     """Contour lines as GeoJSON in the map's CRS, with `height_m`; simplified to what is seen of the whole map."""
 
     def _trace(lattice: CostLattice) -> Response:
@@ -171,14 +188,12 @@ async def get_contours(costmap_id: str, service: KernelsDep, request: Request) -
         ]
         return GeoJson({"type": "FeatureCollection", "features": features}, headers=_KEPT)
 
-    return await _of_lattice(costmap_id, service, request, _trace)
+    return await _of_lattice(on, _trace)
 
 
 @router.get("/costmaps/{costmap_id}/roses", tags=_MAPS, response_model=RosesOut, responses=problems(404, 409, 503))
 async def get_roses(
-    costmap_id: str,
-    service: KernelsDep,
-    request: Request,
+    on: CostmapDep,
     west: Annotated[Coordinate, Query(description="of the part that is asked about [m]", examples=[0.0])],
     south: Annotated[Coordinate, Query(description="[m]", examples=[0.0])],
     east: Annotated[Coordinate, Query(description="[m]", examples=[20.0])],
@@ -186,20 +201,18 @@ async def get_roses(
     across: Annotated[int, Query(ge=1, le=40, description="most cells along a side", examples=[12])] = 12,
 ) -> Response:
     """Energy per metre by heading at evenly spaced cells of a part of the map."""
-
-    await run_sync(service.done_costmap, costmap_id)
+    await on.row()
 
     def _look() -> Response:
-        with service.maps.for_pricing(costmap_id) as planner:
-            lattice = planner.stored if isinstance(planner, StoredPlanner) else planner.lattice
-            found = RosesOut(**roses(lattice, (west, south, east, north), across=across))
+        with on.service.maps.for_pricing(on.id) as planner:
+            found = RosesOut(**roses(planner.ground, (west, south, east, north), across=across))
         return Response(found.model_dump_json(), media_type="application/json")
 
-    return await while_connected(request, service.prices.do(costmap_id, _look))
+    return await on.priced(_look)
 
 
 @router.get("/costmaps/{costmap_id}/surface", tags=_MAPS, response_model=SurfaceOut, responses=problems(404, 409, 503))
-async def get_surface(costmap_id: str, service: KernelsDep, request: Request) -> Response:
+async def get_surface(on: CostmapDep) -> Response:
     """Heights on a coarse grid, for a view in three dimensions."""
 
     def _thin(lattice: CostLattice) -> Response:
@@ -209,7 +222,7 @@ async def get_surface(costmap_id: str, service: KernelsDep, request: Request) ->
         found = SurfaceOut(x=x.tolist(), y=y.tolist(), z=z)
         return Response(found.model_dump_json(), media_type="application/json", headers=_KEPT)
 
-    return await _of_lattice(costmap_id, service, request, _thin)
+    return await _of_lattice(on, _thin)
 
 
 @router.get(
@@ -218,44 +231,25 @@ async def get_surface(costmap_id: str, service: KernelsDep, request: Request) ->
     response_class=Response,
     responses={**_PICTURE, **problems(404, 409, 503)},
 )
-async def get_piece(
-    costmap_id: str,
-    service: KernelsDep,
-    request: Request,
-    level: Annotated[int, Query(ge=0, lt=MOST_LEVELS, description="a pixel is 2^level x 2^level cells")] = 0,
-    row: Annotated[int, Query(ge=0, le=MOST_PIECES, description="of the pieces of this level, from the north")] = 0,
-    col: Annotated[int, Query(ge=0, le=MOST_PIECES, description="of the pieces of this level, from the west")] = 0,
-    view: Annotated[
-        Literal["mean", "directionality", "heading", "ground"], Query(description="as of `layer.png`; or ground alone")
-    ] = "mean",
-    heading_deg: Annotated[
-        Annotated[float, within(HEADING_DEG)] | None,
-        Query(description="of energy and blocked ground: clockwise from north [deg]"),
-    ] = None,
-    blocked: Annotated[bool, Query(description="whether blocked ground is hatched")] = True,
-) -> Response:
+async def get_piece(on: CostmapDep, wanted: Annotated[PieceQuery, Query()]) -> Response:
     """A piece of a large cost map, as fine as its cells: ground, energy and blocked ground over each other.
 
     `layers` says how many levels and how many pixels; a map whose `layer.png` shows every cell has none.
     """
-    await run_sync(service.done_costmap, costmap_id)
+    await on.row()
 
     def _draw() -> Response:
-        with service.maps.for_pricing(costmap_id) as planner:
-            lattice = planner.stored if isinstance(planner, StoredPlanner) else planner.lattice
+        with on.service.maps.for_pricing(on.id) as planner:
             with _LOCK:
-                look = _look(costmap_id, lattice)
+                look = _look(on.id, planner.ground)
+            place = wanted.level, wanted.row, wanted.col
+            view = None if wanted.view == "ground" else wanted.view
             drawn = draw_piece(
-                lattice,
-                look,
-                (level, row, col),
-                view=None if view == "ground" else view,
-                heading_deg=heading_deg,
-                blocked=blocked,
+                planner.ground, look, place, view=view, heading_deg=wanted.heading_deg, blocked=wanted.blocked
             )
         return Response(drawn, media_type="image/png", headers=_KEPT)
 
-    return await while_connected(request, service.plans.do(costmap_id, _draw))
+    return await on.planned(_draw)
 
 
 def _look(costmap_id: str, lattice: CostLattice | StoredLattice) -> Look:
@@ -268,18 +262,18 @@ def _look(costmap_id: str, lattice: CostLattice | StoredLattice) -> Look:
     return _LOOKS[costmap_id]
 
 
-async def _of_lattice(costmap_id: str, service: Service, request: Request, answer: Answer) -> Response:
+async def _of_lattice(on: OnCostmap, answer: Answer) -> Response:
     """The answer about a cost map, or about a coarse one where it is too large for memory."""
-    await run_sync(service.done_costmap, costmap_id)
+    await on.row()
 
     def _ask() -> Response:
-        with service.maps.for_pricing(costmap_id) as planner:
-            if not isinstance(planner, StoredPlanner):
-                return answer(planner.lattice)
+        with on.service.maps.for_pricing(on.id) as planner:
+            if isinstance(planner.ground, CostLattice):
+                return answer(planner.ground)
             with _LOCK:  # one at a time, and the next one finds it made
-                return answer(_coarse(costmap_id, planner.stored))
+                return answer(_coarse(on.id, planner.ground))
 
-    return await while_connected(request, service.plans.do(costmap_id, _ask))
+    return await on.planned(_ask)
 
 
 def _coarse(costmap_id: str, stored: StoredLattice) -> CostLattice:

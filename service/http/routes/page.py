@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
@@ -17,6 +18,7 @@ from xstatic.pkg import leaflet
 from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.errors import NotFoundError
 from joulemap.model.terrain.formats import formats_in_words
+from joulemap.model.terrain.layers.kinds import library
 from joulemap.model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START, sample_terrain
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.dependencies import ServiceDep
@@ -27,7 +29,7 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "frame-src 'self'; form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
 )
-"""Nothing is loaded from elsewhere, and no script or style stands in the document."""
+"""Nothing is loaded from elsewhere but pictures of the base map, and no script or style stands in the document."""
 
 VIEW_3D_POLICY = POLICY.replace("style-src 'self'", "style-src 'self' 'unsafe-inline'").replace(
     "frame-ancestors 'none'", "frame-ancestors 'self'"
@@ -36,24 +38,12 @@ VIEW_3D_POLICY = POLICY.replace("style-src 'self'", "style-src 'self' 'unsafe-in
 
 _WEB = resources.files("joulemap.service").joinpath("web")
 _KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-_PAGES = {"index.html": POLICY, "view3d.html": VIEW_3D_POLICY}
 _LEAFLET = "leaflet.js", "leaflet.css"
 _FOREVER = {"Cache-Control": "public, max-age=31536000, immutable"}  # the address has the version
 
 
 def headers_of(policy: str) -> dict[str, str]:
-    """Return the headers of a page.
-
-    Parameters
-    ----------
-    policy : str
-        Its Content-Security-Policy.
-
-    Returns
-    -------
-    dict
-        By name.
-    """
+    """Return the headers of a page."""
     return {
         "Content-Security-Policy": policy,
         "X-Content-Type-Options": "nosniff",
@@ -63,33 +53,37 @@ def headers_of(policy: str) -> dict[str, str]:
 
 
 @router.get("/")
-def home() -> HTMLResponse:
+def home(service: ServiceDep) -> HTMLResponse:
     """The page."""
-    return _page("index.html")
+    host = urlsplit(service.settings.basemap_url)
+    pictures = f"img-src {host.scheme}://{host.netloc}" if host.netloc else "img-src"
+    return _page("index.html", POLICY.replace("img-src", pictures))
 
 
 @router.get("/page/view3d.html")
 def view_3d() -> HTMLResponse:
     """The document of the 3-D view, which is shown inside the page."""
-    return _page("view3d.html")
+    return _page("view3d.html", VIEW_3D_POLICY)
 
 
 @router.get("/page/start.json")
 def start(request: Request, service: ServiceDep) -> JSONResponse:
     """What the page has to know before it asks anything: what this service can do, the sample, the robot's fields."""
-    document = request.app.openapi()
-    fields = document["components"]["schemas"]
+    document, settings = request.app.openapi(), service.settings
+    fields, url = document["components"]["schemas"], settings.basemap_url
     return JSONResponse(
         {
             "version": service.version,
             "planners": fields["PathRequest"]["properties"]["planner"]["enum"],
             "path_formats": _formats(document["paths"]["/v1/costmaps/{costmap_id}/paths"]["post"]),
             "models": list(MODEL_NAMES),
-            "most_values": service.settings.max_lattice_values,
+            "most_values": settings.max_lattice_values,
             "robot": fields["RobotIn"]["properties"],
+            "kinds": {name: kind.rolling_resistance for name, kind in library().items()},
             "formats": formats_in_words(),
             "sample": {"start": SAMPLE_START, "goal": SAMPLE_GOAL, "name": "joulemap sample"},
             "plotly": plotly_version(),
+            "basemap": {"url": url, "attribution": settings.basemap_attribution} if url else None,
         },
         headers={"Cache-Control": "no-cache"},
     )
@@ -129,26 +123,20 @@ def plotly_file(release: str) -> FileResponse:
 
 @cache
 def plotly_version() -> str | None:
-    """Return the version of the installed package plotly.
-
-    Returns
-    -------
-    str or None
-        None where there is none.
-    """
+    """Return the version of the installed package plotly."""
     try:
         return version("plotly")
     except PackageNotFoundError:
         return None
 
 
-def _page(name: str) -> HTMLResponse:
+def _page(name: str, policy: str) -> HTMLResponse:
     text = _WEB.joinpath(name).read_text(encoding="utf-8")
     modules = sorted(file for file in _own_files() if file.endswith(".js") and file not in ("main.js", "view3d.js"))
     early = "\n".join(f'<link rel="modulepreload" href="page/{file}">' for file in modules)  # all at once, not in turn
     for name_in_braces, value in (("modules", early), ("leaflet", leaflet.VERSION), ("plotly", plotly_version() or "")):
         text = text.replace(f"{{{name_in_braces}}}", value)
-    return HTMLResponse(text, headers=headers_of(_PAGES[name]))
+    return HTMLResponse(text, headers=headers_of(policy))
 
 
 @cache

@@ -18,6 +18,7 @@ from joulemap.service.intake.limits import RunReading
 from joulemap.service.schemas.base import UnreadableOut, within
 from joulemap.service.schemas.kept import listed, runs_out, shown
 from joulemap.service.schemas.loop import RunsOut
+from joulemap.service.storage.tables import RunsRow
 
 router = APIRouter(prefix="/runs", tags=["runs and calibrations"])
 
@@ -101,7 +102,7 @@ async def send_runs(
 @router.get("", responses=problems())
 def list_runs(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> RunsList:
     """All runs, newest first."""
-    rows, total = service.store.all_runs(limit=limit, offset=offset)
+    rows, total = service.store.page(RunsRow, limit=limit, offset=offset)
     return RunsList(total=total, items=listed(rows, runs_out))
 
 

@@ -18,10 +18,9 @@ from joulemap.model.energy.architectures.compact.weights import (
     with_all_features,
 )
 from joulemap.model.energy.architectures.contract import Architecture, TrainingDefaults
-from joulemap.model.energy.domain import Domain
-from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.examples import Examples, FloatArray
-from joulemap.model.energy.uncertainty import LEAST_SHARE, Spread
+from joulemap.model.energy.learned import Facts
+from joulemap.model.energy.uncertainty import LEAST_SHARE
 from joulemap.model.errors import ModelError
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.patches import cut_squares
@@ -48,6 +47,7 @@ class Compact(Architecture["CompactNet"]):
     training = TrainingDefaults(
         learning_rate=1e-3, fine_tuning_rate=5e-4, batch=64, epochs=12, copies=8, cross_fitted=True, threads=1
     )
+    shape_free = True
 
     def build(self, config: Mapping[str, Any], *, size: int) -> CompactNet:
         """Make a network, as `Architecture.build`. Its working pixels are those of this version."""
@@ -136,35 +136,15 @@ class Compact(Architecture["CompactNet"]):
         """Return a network with more traction, as `Architecture.scaled`."""
         return net.scaled(factor)
 
-    def predictor(
-        self,
-        net: CompactNet,
-        domain: Domain,
-        provenance: Mapping[str, Any],
-        *,
-        size: int,
-        name: str,
-        spread: Spread,
-        costs: DriveCosts,
-    ) -> CompactPredictor:
+    def predictor(self, net: CompactNet, facts: Facts) -> CompactPredictor:
         """Make a predictor that answers for whole maps in dense passes."""
-        return CompactPredictor(net.weights(), domain, provenance, name=name, spread=spread, costs=costs)
+        return CompactPredictor(net.weights(), facts)
 
     def predictor_of_weights(
-        self,
-        config: Mapping[str, Any],
-        weights: Mapping[str, NDArray[Any]],
-        domain: Domain,
-        provenance: Mapping[str, Any],
-        *,
-        size: int,
-        name: str,
-        spread: Spread,
-        costs: DriveCosts,
+        self, config: Mapping[str, Any], weights: Mapping[str, NDArray[Any]], facts: Facts
     ) -> CompactPredictor:
         """Make a predictor of the weights alone, as `Architecture.predictor_of_weights`: torch is not loaded."""
-        known = CompactWeights(with_all_features(weights), _widths(config, size))
-        return CompactPredictor(known, domain, provenance, name=name, spread=spread, costs=costs)
+        return CompactPredictor(CompactWeights(with_all_features(weights), _widths(config, facts.size)), facts)
 
 
 def _widths(config: Mapping[str, Any], size: int) -> CompactConfig:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,12 +13,11 @@ from joulemap.model.energy.architectures.compact.head import Headings, answer_ti
 from joulemap.model.energy.architectures.compact.raster import Buffers, read_cells
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, REACH_M, SQUARE, track_features
 from joulemap.model.energy.architectures.compact.weights import CompactWeights, RobotWeights, heading_basis
-from joulemap.model.energy.domain import Domain
-from joulemap.model.energy.drive_costs import DriveCosts
+from joulemap.model.energy.drivetrain import geared
 from joulemap.model.energy.grade import tan_grade, tan_grade_lattice
-from joulemap.model.energy.learned import Learned
+from joulemap.model.energy.learned import Facts, Learned
 from joulemap.model.energy.robot_features import robot_features
-from joulemap.model.energy.uncertainty import Spread, segment_std
+from joulemap.model.energy.uncertainty import segment_std
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
@@ -43,17 +40,8 @@ class CompactPredictor(Learned):
     continued by odd reflection (a plane stays a plane), so that edge cells have an answer.
     """
 
-    def __init__(
-        self,
-        weights: CompactWeights,
-        domain: Domain,
-        provenance: Mapping[str, Any],
-        *,
-        name: str,
-        spread: Spread | None = None,
-        costs: DriveCosts | None = None,
-    ) -> None:
-        super().__init__(name, domain, provenance, spread=spread, costs=costs)
+    def __init__(self, weights: CompactWeights, facts: Facts) -> None:
+        super().__init__(facts)
         self.weights = weights
 
     def traction_and_std(
@@ -115,6 +103,7 @@ class CompactPredictor(Learned):
         ]
         with threadpool_limits(1, user_api="blas"):  # a tile per thread, nothing shared inside a tile
             share_out(_fill, tiles)
+        geared(traction, robot, self.drivetrain_efficiency)
         return heightmap.layers.on_kinds(traction, robot, x[None, :, None], y[:, None, None]), std
 
     def segment_traction_and_std(
@@ -141,7 +130,8 @@ class CompactPredictor(Learned):
             rest[part], spread[part] = weights.ask(series, basis[part], tracks)
         gain, climb = weights.gains
         over_weight = gain * robot.rolling_resistance + climb * tan_grade(heightmap, x, y, heading) + rest
-        traction = heightmap.layers.on_kinds(np.asarray(robot.weight_n * over_weight), robot, x, y)
+        traction = geared(np.asarray(robot.weight_n * over_weight), robot, self.drivetrain_efficiency)
+        traction = heightmap.layers.on_kinds(traction, robot, x, y)
         price = robot.price_per_m(traction)
         return traction, segment_std(price, np.exp(spread), self._level_j(robot), factor=self.spread.factor)
 

@@ -25,20 +25,12 @@ _AT_ONCE = 256
 
 @dataclass(frozen=True)
 class Scratch:
-    """Memory for `read_ground`, all of it flat.
+    """Memory for `read_ground`, all of it flat."""
 
-    Attributes
-    ----------
-    gathered, sums, hidden : ndarray of float32
-        The inputs of a layer as a matrix, its answers, and those of the hidden layer.
-    first, second : ndarray of float32
-        The first two convolutions' answers.
-    """
-
-    gathered: FloatArray
+    gathered: FloatArray  # The inputs of a layer as a matrix, its answers, and those of the hidden layer
     sums: FloatArray
     hidden: FloatArray
-    first: FloatArray
+    first: FloatArray  # The first two convolutions' answers
     second: FloatArray
 
     @classmethod

@@ -34,27 +34,14 @@ _INVERSE = tuple(np.float32(1.0 / max(n, 1)) for n in range(10))
 
 @dataclass(frozen=True)
 class Headings:
-    """The headings of a lattice and where their tracks lie.
+    """The headings of a lattice and where their tracks lie."""
 
-    Attributes
-    ----------
-    basis : ndarray of float32, (terms, K)
-        The series' functions at the headings.
-    stencil : ndarray of float64, (2, samples, K, 2)
-        As from `track_stencil`.
-    back : ndarray of int64, (K,)
-        The later heading that drives a heading's tracks the other way; -1 where there is none.
-    own : ndarray of bool, (K,)
-        Whether a heading is computed itself, and not as the opposite of an earlier one.
-    per_width : float
-        One over the distance of the tracks [1/m].
-    """
-
-    basis: NDArray[np.float32]
-    stencil: NDArray[np.float64]
+    basis: NDArray[np.float32]  # (terms, K): The series' functions at the headings
+    stencil: NDArray[np.float64]  # (2, samples, K, 2): As from `track_stencil`
+    # (K,): The later heading that drives a heading's tracks the other way; -1 where there is none
     back: NDArray[np.int64]
-    own: NDArray[np.bool_]
-    per_width: float
+    own: NDArray[np.bool_]  # (K,): Whether a heading is computed itself, and not as the opposite of an earlier one
+    per_width: float  # One over the distance of the tracks [1/m]
 
     @classmethod
     def of(cls, headings_rad: NDArray[np.float64], basis: NDArray[np.float32], width_m: float) -> Headings:

@@ -50,21 +50,11 @@ def slopes_of_squares(squares: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class RobotCode:
-    """How the robot (or each of B robots) modulates the network.
+    """How the robot (or each of B robots) modulates the network."""
 
-    Attributes
-    ----------
-    ground : Tensor, (B, 2 (third + hidden), 1, 1)
-        Scale and shift of the third convolution and of the hidden layer.
-    tracks : Tensor, (B, 2 head[0])
-        Scale and shift of the head's first layer.
-    gains : Tensor, (B, 2)
-        Gains a and c of the rolling resistance and of the grade.
-    """
-
-    ground: Tensor
-    tracks: Tensor
-    gains: Tensor
+    ground: Tensor  # Scale and shift of the third convolution and of the hidden layer
+    tracks: Tensor  # Scale and shift of the head's first layer
+    gains: Tensor  # Gains a and c of the rolling resistance and of the grade
 
 
 class CompactNet(Network):

@@ -21,18 +21,10 @@ _MIDDLE = (SQUARE - 1) // 2
 
 @dataclass(frozen=True)
 class Buffers:
-    """Memory for what `read_cells` reads of a tile: fresh memory costs more than the reading.
+    """Memory for what `read_cells` reads of a tile: fresh memory costs more than the reading."""
 
-    Attributes
-    ----------
-    heights : ndarray of float64
-        Flat.
-    slopes : ndarray of float32
-        Flat.
-    """
-
-    heights: FloatArray
-    slopes: NDArray[np.float32]
+    heights: FloatArray  # Flat
+    slopes: NDArray[np.float32]  # Flat
 
     @classmethod
     def of(cls, rows: int, cols: int, *, joined: bool) -> Buffers:

@@ -37,27 +37,13 @@ FloatArray = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class CompactConfig:
-    """Widths of the network's layers.
+    """Widths of the network's layers."""
 
-    Attributes
-    ----------
-    channels : tuple of int
-        Of the three strided convolutions.
-    hidden : int
-        Of the layer after them.
-    order : int
-        Highest harmonic of the heading.
-    head : tuple of int
-        Of the head's two layers.
-    robot_hidden : int
-        Of the layer that reads the robot.
-    """
-
-    channels: tuple[int, int, int] = (16, 32, 64)
-    hidden: int = 64
-    order: int = 2
-    head: tuple[int, int] = (24, 16)
-    robot_hidden: int = 32
+    channels: tuple[int, int, int] = (16, 32, 64)  # Of the three strided convolutions
+    hidden: int = 64  # Of the layer after them
+    order: int = 2  # Highest harmonic of the heading
+    head: tuple[int, int] = (24, 16)  # Of the head's two layers
+    robot_hidden: int = 32  # Of the layer that reads the robot
 
     def as_dict(self) -> dict[str, Any]:
         """Return the widths, JSON-able."""
@@ -84,26 +70,16 @@ def heading_basis(heading_rad: ArrayLike, order: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class RobotWeights:
-    """The network for one robot.
+    """The network for one robot."""
 
-    Attributes
-    ----------
-    ground : tuple of ndarray of float32
-        Weight (outputs, inputs) and bias (outputs,) of the three convolutions, the hidden layer and the series, one
-        after another. The inputs of a convolution are ordered by channel, row and column.
-    head : tuple of ndarray of float32
-        Tracks (units, 9) and shift (units,), head (last, units) and bias, rest and spread (2, last) and their biases
-        (2,). Units and last are padded with zeros to multiples of `HEAD_BLOCK`.
-    units : int
-        Of the head's first layer, without padding.
-    gains : tuple of float
-        Gains a and c of the rolling resistance and of the grade.
-    """
-
+    # Weight (outputs, inputs) and bias (outputs,) of the three convolutions, the hidden layer and the series, one
+    # after another. The inputs of a convolution are ordered by channel, row and column.
     ground: tuple[FloatArray, ...]
+    # Tracks (units, 9) and shift (units,), head (last, units) and bias, rest and spread (2, last) and their biases
+    # (2,). Units and last are padded with zeros to multiples of `HEAD_BLOCK`.
     head: tuple[FloatArray, ...]
-    units: int
-    gains: tuple[float, float]
+    units: int  # Of the head's first layer, without padding
+    gains: tuple[float, float]  # Gains a and c of the rolling resistance and of the grade
 
     def ask(self, series: FloatArray, basis: FloatArray, tracks: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Evaluate the head at one heading of each place.
@@ -122,18 +98,10 @@ class RobotWeights:
 
 @dataclass(frozen=True)
 class CompactWeights:
-    """The weights of a trained compact network.
+    """The weights of a trained compact network."""
 
-    Attributes
-    ----------
-    arrays : mapping of str to ndarray of float32
-        By the names that they have in the network, as in weights.safetensors.
-    config : CompactConfig
-        Widths of the layers.
-    """
-
-    arrays: Mapping[str, FloatArray]
-    config: CompactConfig
+    arrays: Mapping[str, FloatArray]  # By the names that they have in the network, as in weights.safetensors
+    config: CompactConfig  # Widths of the layers
 
     def __post_init__(self) -> None:
         wanted = _shapes(self.config)

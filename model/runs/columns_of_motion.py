@@ -1,0 +1,189 @@
+"""What the columns of a table say of time, place, speed and distance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from joulemap.model.errors import RunsError
+from joulemap.model.runs import agreement
+from joulemap.model.runs.column_values import numbers_of, read_column
+from joulemap.model.runs.columns_of_power import flows
+from joulemap.model.runs.counters import summed, total_of, unknown_s
+from joulemap.model.runs.formats.columns import CLOCK, DATE
+from joulemap.model.runs.formats.contract import Stream
+from joulemap.model.runs.instants import across_midnight
+from joulemap.model.runs.mapping import Source
+from joulemap.model.runs.recognition import Recognised
+from joulemap.model.runs.table import FloatArray, spread
+from joulemap.model.runs.units import UNITS, conversion
+
+_AGREE = 0.2  # a counted distance differs from the sum of the speed by less
+_FALLS = 0.05  # of the steps of a counter, which falls where it begins anew
+_NO_METRES = 30.0  # a distance that counts so many times less than the speed makes counts km or miles
+_FAST_KMPH = 70.0  # a speed that is above this number is no m/s of a vehicle on the ground
+
+
+def take_degrees(
+    numbers: dict[str, FloatArray], chosen: dict[str, Source], words: dict[str, str], found: Recognised
+) -> None:
+    """Positions `x` and `y` that are a longitude and a latitude, as in metres nothing would have moved."""
+    if not {"x", "y"} <= numbers.keys() or any(chosen[key].columns == [key] or chosen[key].unit for key in "xy"):
+        return
+    if not agreement.in_degrees(numbers["x"], numbers["y"]):
+        return
+    for key, target in (("x", "lon"), ("y", "lat")):
+        numbers[target], words[target], chosen[target] = numbers.pop(key), "deg", chosen.pop(key)
+        words.pop(key, None)
+        found.confidence[target] = found.confidence.pop(key)
+    found.notes.append("`x` and `y` are taken for a longitude and a latitude: in metres they would hardly move")
+
+
+def time_of(
+    source: Source, stream: Stream, path_m: float | None, name: str, found: Recognised
+) -> tuple[FloatArray, str]:
+    """The stamps [s], and their unit where the name does not say it."""
+    kinds = [stream.units.get(column, "") for column in source.columns]
+    columns = [numbers_of(stream, column, name) for column in source.columns]
+    total = np.sum([sign * values for (sign, _), values in zip(source.parts, columns, strict=True)], axis=0)
+    if DATE in kinds:
+        return total, DATE
+    if CLOCK in kinds:
+        return across_midnight(total), CLOCK
+    unit, why = source.unit, ""
+    if not unit:
+        speed = stream.numbers.get(found.chosen["speed"].columns[0]) if "speed" in found.chosen else None
+        unit, why = agreement.time_unit(total, path_m, speed)
+    if why:
+        found.notes.append(f"`t` is taken for {unit}: {why}")
+    if unit == "hhmmss":
+        return across_midnight(agreement.of_clock(total)), unit
+    factor = conversion("t", unit)[0] if unit else 1.0
+    largest = float(np.nanmax(np.abs(total), initial=0.0))
+    seconds = total if factor == 1.0 else total * factor
+    return (across_midnight(seconds) if unit == "ms" and largest * factor <= 86_400.0 else seconds), unit
+
+
+def take_speed(
+    source: Source,
+    stream: Stream,
+    numbers: dict[str, FloatArray],
+    path_m: float | None,
+    name: str,
+    repairs: dict[str, int],
+    found: Recognised,
+    words: dict[str, str],
+) -> None:
+    """The speed [m/s]; one whose unit nothing says is left out, or asked for where it is needed."""
+    logged, _ = read_column("speed", Source(source.parts), stream, name, repairs)
+    unit = source.unit
+    if not unit and "t" in numbers:
+        unit = agreement.speed_unit(numbers["t"], logged, numbers, path_m)
+        if not unit and path_m is None:
+            column = source.columns[0]
+            if np.nanmax(np.abs(logged), initial=0.0) > _FAST_KMPH:
+                unit = "km/h"
+                found.notes.append(f"`speed` is taken for km/h, because {column[:60]} reaches more than {_FAST_KMPH:g}")
+            else:
+                found.questions["speed"] = (
+                    f"is {column[:60]} in km/h or m/s? Say it with a mapping: speed={column[:60]}:km/h"
+                )
+                return
+        if not unit and source.columns != ["speed"]:  # of which joulemap's own is in m/s
+            return
+    words["speed"] = unit if not source.unit else ""
+    numbers["speed"] = logged * (UNITS["speed"].get(unit) or conversion("speed", unit or "m/s"))[0]
+
+
+def with_heading(chosen: Mapping[str, Source], stream: Stream, rest: dict[str, FloatArray]) -> str:
+    """Add a heading to the other columns. Result: the column whose sense only the way can tell; empty without."""
+    source = chosen.get("heading")
+    if source is None:
+        return ""
+    column = source.columns[0]
+    if column == "heading" or source.unit or len(source.parts) > 1:
+        rest["heading"] = read_column("heading", source, stream, "", {})[0]
+        return ""
+    rest[column] = stream.numbers[column]
+    return column
+
+
+def without_standing_positions(
+    numbers: dict[str, FloatArray], stream: Stream, chosen: dict[str, Source], found: Recognised
+) -> None:
+    """Leave positions out that are the same in every row, as receivers write without a fix, while a speed, a distance
+    or another position says that the robot moved, in whichever unit.
+    """
+    moved = [
+        column
+        for key in ("speed", "distance", "lat", "lon", "x", "y")
+        if key in chosen
+        for column in chosen[key].columns
+    ]
+    for pair in (("x", "y"), ("lat", "lon")):
+        standing = numbers.keys() >= set(pair) and not any(spread(numbers[key]) for key in pair)
+        if standing and any(spread(stream.numbers[column]) for column in moved if column in stream.numbers):
+            found.notes.append("its positions are the same in every row, while it moved: they are not used")
+            for key in pair:
+                del numbers[key]
+                chosen.pop(key, None)
+
+
+def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found: Recognised, name: str) -> None:
+    """The distance, counted or from the speed, where there is no position."""
+    speed = numbers.get("speed")
+    made = None if speed is None or "t" not in numbers else summed(numbers["t"], speed)
+    placed = {"x", "y"} <= numbers.keys() or {"lat", "lon"} <= numbers.keys()
+    if placed or "t" not in numbers or {"speed_left", "speed_right"} <= numbers.keys():
+        numbers.pop("distance", None)
+        reading.pop("distance", None)
+        return
+    if "distance" in numbers:
+        counted = total_of(numbers["distance"])
+        steps = np.diff(counted[np.isfinite(counted)])
+        resolution = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+        counts = min((steps > 0).sum(), (steps < 0).sum()) <= _FALLS * steps.size
+        if made is None and not counts:
+            raise RunsError(
+                f"run {name}: its distance rises and falls again and again, so it does not count from the begin: give "
+                "a speed; or say that it is since the row before, "
+                f"distance={found.chosen['distance'].columns[0][:60]}:m/row",
+                run=name,
+                column="distance",
+            )
+        unit = "" if made is None else agreement.contradiction(counted, made)
+        if unit and found.chosen["distance"].unit and found.chosen["speed"].unit:
+            raise RunsError(
+                f"run {name}: its distance is {unit} times the sum of its speed, so the unit of one is wrong: say "
+                f"it with a mapping, such as speed={found.chosen['speed'].columns[0][:60]}:km/h",
+                run=name,
+                column="distance",
+            )
+        if made is not None and counts and not unit:
+            whole, other = (float(np.nanmax(values, initial=0.0)) for values in (counted, made))
+            if abs(whole - other) > _AGREE * other + resolution:
+                found.notes.append(f"its distance counts {whole:,.0f} m, where its speed makes {other:,.0f} m")
+            counts = bool(found.chosen["distance"].unit) or whole > other / _NO_METRES
+        if made is None or (counts and resolution <= 1.0 and not unit):
+            numbers["distance"] = counted
+            return
+    if made is not None:
+        numbers["distance"] = made
+        if lost := unknown_s(numbers["t"], numbers["speed"]):
+            found.notes.append(f"its speed is not known for {lost:,.0f} s in all: what was driven then is not counted")
+        reading["distance"] = f"the sum of {reading.get('speed', 'speed [m/s]')}"
+    elif "distance" not in numbers and (flows(numbers) or "soc" in numbers):  # else that is what is missing
+        for key in ("lat", "lon", "x", "y", "distance", "speed"):
+            if key in found.questions:
+                raise RunsError(f"run {name}: {found.questions[key]}", run=name, column=key)
+
+
+def without_null_island(numbers: dict[str, FloatArray]) -> None:
+    """Make positions at latitude 0 and longitude 0 unknown, which receivers without a fix write."""
+    lat, lon = numbers.get("lat"), numbers.get("lon")
+    if lat is None or lon is None:
+        return
+    nowhere = (lat == 0) & (lon == 0)
+    if nowhere.any() and not nowhere.all():
+        numbers["lat"], numbers["lon"] = (np.where(nowhere, np.nan, values) for values in (lat, lon))

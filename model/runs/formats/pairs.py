@@ -1,0 +1,45 @@
+"""Logs as lines of `name=value` or `name: value`: serial output, InfluxDB's line protocol, decoded CAN messages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+
+from joulemap.model.runs.formats.columns import stream_of
+from joulemap.model.runs.formats.contract import Log, content_of
+from joulemap.model.runs.formats.json_records import columns_of
+from joulemap.model.runs.table import TableLimits, add_count
+from joulemap.model.source_file import SourceFile
+
+_PAIR = re.compile(
+    r"(?<![^\s,;(])([A-Za-z_][\w.\[\]/-]{0,100})\s?[=:]\s?([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s?([A-Za-z%/]*)(?=[\s,;)]|$)"
+)
+_STAMP = re.compile(r"^\s*(?:\[[A-Za-z]+\]\s*)?[(\[]?\s*(\d[\d.:TZ+ -]{5,40}?)\s*[)\],; ]|(?<=\s)(\d{9,19})\s*$")
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by the first lines: two pairs in each."""
+    lines = [line for line in head.decode("utf-8", "replace").split("\n")[:-1][:5] if line.strip()]
+    return bool(lines) and all(len(_PAIR.findall(line)) > 1 for line in lines)
+
+
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read the pairs."""
+    lines = content_of(source).decode("utf-8", "replace").splitlines()
+    table = columns_of(_records(lines, repairs), source.name, limits)
+    return Log((stream_of(table, source.name, limits),))
+
+
+def _records(lines: list[str], repairs: dict[str, int]) -> Iterator[dict[str, float | str]]:
+    for line in lines:
+        pairs = _PAIR.findall(line)
+        if not pairs:
+            add_count(repairs, "rows_without_pairs", bool(line.strip()))
+            continue
+        record: dict[str, float | str] = {
+            f"{key} [{unit}]" if unit else key: float(value) for key, value, unit in pairs
+        }
+        stamp = _STAMP.search(line)
+        if stamp is not None:
+            record.setdefault("time", stamp[1] or stamp[2])
+        yield record

@@ -1,0 +1,1 @@
+"""What is worked out on a cost map: whether the battery lasts, speeds, the way home, objectives, uncertainty."""

@@ -1,0 +1,1 @@
+"""What a service needs of its machine: settings, memory, priorities, turns."""
