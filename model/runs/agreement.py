@@ -23,8 +23,10 @@ _CONFUSED = (3.6, 1.0 / 0.44704, 1.609344, 1000.0)  # m/s with km/h or mph, km w
 _RATIO = 0.05
 _WINDOW_S = 5.0
 _LEAST_DRAG_M2 = 0.1
-_DRIVEN_MPS = (0.02, 70.0)  # of the path of a vehicle that drives
 _STARTED_MPS2 = (0.05, 30.0)  # it starts or brakes faster; rounded speeds seem to jump
+
+DRIVEN_MPS = (0.02, 70.0)
+"""Of the path of a vehicle that drives."""
 
 MOST_V = 2000.0
 """No pack of a vehicle has more."""
@@ -60,7 +62,7 @@ def time_unit(values: FloatArray, path_m: float | None, speed: FloatArray | None
     if step < 10.0 or (known != np.round(known)).any():
         return "", ""
     if path_m:
-        made, (slowest, fastest), why = path_m / float(np.ptp(known)), _DRIVEN_MPS, "by the way that was driven"
+        made, (slowest, fastest), why = path_m / float(np.ptp(known)), DRIVEN_MPS, "by the way that was driven"
     else:
         made, (slowest, fastest), why = _acceleration(values, speed), _STARTED_MPS2, "by how its speed changes"
     fitting = [
@@ -162,6 +164,16 @@ def path_of(numbers: Mapping[str, FloatArray]) -> float | None:
     return float(np.hypot(np.diff(x[::step]), np.diff(y[::step])).sum())
 
 
+def speed_of(t: FloatArray, numbers: Mapping[str, FloatArray]) -> FloatArray | None:
+    """Return the speed [m/s] by a distance or by positions, (n,); None without both. `t` (n,): rising stamps [s]."""
+    if "distance" in numbers:
+        return np.abs(np.gradient(numbers["distance"], t))
+    x, y, at = _plane(numbers, t)
+    if at.size < 2:
+        return None
+    return np.interp(t, at, np.hypot(np.gradient(x, at), np.gradient(y, at)))
+
+
 def _plane(numbers: Mapping[str, FloatArray], t: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Known positions in metres, and their stamps."""
     if {"x", "y"} <= numbers.keys():
@@ -248,7 +260,7 @@ def drives_nothing(power: FloatArray, speed: FloatArray) -> bool:
     `power` (n,): [W]; `speed` (n,): at the same rows [m/s].
     """
     known = np.isfinite(power) & np.isfinite(speed)
-    rest, drive = (known & side for side in (np.abs(speed) < _DRIVEN_MPS[0], np.abs(speed) >= _DRIVEN_MPS[0]))
+    rest, drive = (known & side for side in (np.abs(speed) < DRIVEN_MPS[0], np.abs(speed) >= DRIVEN_MPS[0]))
     if not rest.any() or not drive.any():
         return False
     return abs(float(np.mean(power[drive]) - np.mean(power[rest]))) < _air_w(speed[drive])

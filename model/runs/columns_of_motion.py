@@ -10,13 +10,13 @@ from joulemap.model.errors import RunsError
 from joulemap.model.runs import agreement
 from joulemap.model.runs.column_values import numbers_of, read_column
 from joulemap.model.runs.columns_of_power import flows
-from joulemap.model.runs.counters import summed, total_of, unknown_s
+from joulemap.model.runs.counters import LONGEST_STEP, pauses, summed, total_of, unknown_s
 from joulemap.model.runs.formats.columns import CLOCK, DATE
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.instants import across_midnight
 from joulemap.model.runs.mapping import Source
 from joulemap.model.runs.recognition import Recognised
-from joulemap.model.runs.table import FloatArray, spread
+from joulemap.model.runs.table import LEAST_ROWS, FloatArray, spread
 from joulemap.model.runs.units import UNITS, conversion
 
 _AGREE = 0.2  # a counted distance differs from the sum of the speed by less
@@ -130,6 +130,38 @@ def without_standing_positions(
                 chosen.pop(key, None)
 
 
+def without_frozen_positions(numbers: dict[str, FloatArray], found: Recognised) -> None:
+    """Make positions unknown where they stay the same for long, while the speed or the distance goes on."""
+    pair = next((each for each in (("x", "y"), ("lat", "lon")) if numbers.keys() >= {*each, "t"}), None)
+    speed, counted = numbers.get("speed"), numbers.get("distance")
+    if pair is None or (speed is None and counted is None):
+        return
+    t = numbers["t"]
+    driven = total_of(counted) if counted is not None else summed(t, speed)
+    known = np.flatnonzero(np.isfinite(driven) & np.isfinite(t) & np.isfinite(numbers[pair[0]] + numbers[pair[1]]))
+    if known.size < LEAST_ROWS:
+        return
+    moved = np.any([np.diff(numbers[key][known]) != 0 for key in pair], axis=0)
+    first = known[np.flatnonzero(np.append(True, moved))]
+    last = known[np.append(np.flatnonzero(moved), known.size - 1)]
+    ways, waited = np.abs(np.diff(driven[first])), t[last] - t[first]
+    usual_m, usual_s = (
+        float(np.median(each[ways > 0])) if (ways > 0).any() else 0.0 for each in (ways, np.diff(t[first]))
+    )
+    way = np.abs(driven[last] - driven[first])
+    frozen = pauses(waited, usual_s) & (way > LONGEST_STEP * usual_m) & (way * usual_s > _AGREE * usual_m * waited)
+    if not frozen.any() or usual_s <= 0:
+        return
+    for begin, end in zip(first[frozen], last[frozen], strict=True):
+        for key in pair:
+            numbers[key] = np.where((np.arange(t.size) > begin) & (np.arange(t.size) <= end), np.nan, numbers[key])
+    said = "counter" if counted is not None else "speed"
+    found.notes.append(
+        f"its positions stay the same for {waited[frozen].sum():,.0f} s in which its {said} makes "
+        f"{way[frozen].sum():,.0f} m: they are not used there"
+    )
+
+
 def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found: Recognised, name: str) -> None:
     """The distance, counted or from the speed, where there is no position."""
     speed = numbers.get("speed")
@@ -144,6 +176,8 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
         steps = np.diff(counted[np.isfinite(counted)])
         resolution = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         counts = min((steps > 0).sum(), (steps < 0).sum()) <= _FALLS * steps.size
+        if made is None:
+            _ask_for_unit(numbers["t"], counted, found.chosen["distance"], name)
         if made is None and not counts:
             raise RunsError(
                 f"run {name}: its distance rises and falls again and again, so it does not count from the begin: give "
@@ -177,6 +211,23 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
         for key in ("lat", "lon", "x", "y", "distance", "speed"):
             if key in found.questions:
                 raise RunsError(f"run {name}: {found.questions[key]}", run=name, column=key)
+
+
+def _ask_for_unit(t: FloatArray, counted: FloatArray, source: Source, name: str) -> None:
+    """Ask in which unit a distance counts that nothing says, where a vehicle does not drive so many metres."""
+    column = source.columns[0]
+    known = np.isfinite(t) & np.isfinite(counted)
+    if source.unit or column == "distance" or known.sum() < LEAST_ROWS:
+        return
+    mean = float(np.nanmax(counted) / max(np.ptp(t[known]), 1e-9))
+    if 0.0 < mean < agreement.DRIVEN_MPS[0] or mean > _FAST_KMPH / 3.6:
+        raise RunsError(
+            f"run {name}: {column[:60]} rises by {mean:.3g} a second: in m, km, mi or ft? Say it with a mapping, such "
+            f"as distance={column[:60]}:{'ft' if mean > 1.0 else 'km'}; if each row is what came since the row before, "
+            f"distance={column[:60]}:m/row",
+            run=name,
+            column="distance",
+        )
 
 
 def without_null_island(numbers: dict[str, FloatArray]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from joulemap.model.errors import RunsError
 from joulemap.model.runs import agreement
 from joulemap.model.runs.column_values import words_of
-from joulemap.model.runs.counters import rate_of, total_of
+from joulemap.model.runs.counters import is_per_row, rate_of, total_of
 from joulemap.model.runs.mapping import Source
 from joulemap.model.runs.names import POSSIBLE
 from joulemap.model.runs.recognition import CONFIDENCE, Recognised, disagreement
@@ -120,6 +120,14 @@ def take_counters(
     drawn = flows(numbers)
     for counter, target in (("energy", "power"), ("charge", "current")):
         if counter in numbers and "t" in numbers and not drawn:
+            if is_per_row(numbers[counter]):
+                column, unit = found.chosen[counter].columns[0][:60], found.chosen[counter].unit or own_unit(counter)
+                raise RunsError(
+                    f"run {name}: {column} rises and falls again and again, so it does not count from the begin: if it "
+                    f"is what came since the row before, say so with a mapping, {counter}={column}:{unit}/row",
+                    run=name,
+                    column=counter,
+                )
             rate = rate_of(numbers["t"], total_of(numbers[counter]))
             numbers[target] = rate
             reading[target] = f"the rate of {reading.pop(counter, counter)}"

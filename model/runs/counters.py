@@ -10,7 +10,7 @@ from joulemap.model.runs.table import FloatArray
 BoolArray = NDArray[np.bool_]
 
 _RESET_SHARE = 0.1  # a counter that begins anew falls to less than this share of what it was
-_LONGEST_STEP = 10.0  # usual steps between rows, and 10 s at least: over more nothing is summed
+LONGEST_STEP = 10.0  # usual steps between rows, and 10 s at least: over more nothing is summed
 
 
 def total_of(counter: FloatArray) -> FloatArray:
@@ -77,6 +77,19 @@ def unknown_s(t: FloatArray, speed: FloatArray) -> float:
     return float(dt[_pause(dt) & (np.maximum(fast[1:], fast[:-1]) > 0)].sum())
 
 
+def pauses(dt: FloatArray, usual: float) -> BoolArray:
+    """Return which steps of time are so much longer than usual that nothing is known of what was driven in them."""
+    return dt > max(LONGEST_STEP * usual, 10.0)
+
+
 def _pause(dt: FloatArray) -> BoolArray:
-    usual = float(np.median(dt[dt > 0])) if (dt > 0).any() else 0.0
-    return dt > max(_LONGEST_STEP * usual, 10.0)
+    return pauses(dt, float(np.median(dt[dt > 0])) if (dt > 0).any() else 0.0)
+
+
+def is_per_row(counter: FloatArray) -> bool:
+    """Return whether a column rises and falls so much more than it gains that it counts nothing, but says what came
+    since the row before. `counter` (n,): NaN where it was not read.
+    """
+    known = counter[np.isfinite(counter)]
+    steps = np.diff(known)
+    return bool(known.size > LONGEST_STEP and np.abs(steps).sum() > LONGEST_STEP * np.ptp(known) > 0)

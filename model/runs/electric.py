@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, RunsError
+from joulemap.model.runs.agreement import speed_of
 from joulemap.model.runs.held_readings import between_readings
 from joulemap.model.runs.reckoning import sides_of
 from joulemap.model.runs.table import add_count, columns_there
@@ -35,6 +36,9 @@ _SIDES = ("left_current", "right_current")
 _MOST_MOTORS = 8  # of more, not all readings of the signs are tried
 _USUAL = (0.01, 0.99)  # quantiles between which a meter reads nearly always
 _SHORTEST_PEAK_S = 0.5  # a vehicle brakes or starts for longer
+_LEAST_SEEN = 30  # rows, for the standard error of a correlation to be 1 / sqrt(n)
+_CLEAR = 3.0  # standard errors: once in 400 by chance
+_LEAST_LIKE = 0.5  # of a correlation: else other things move it more
 _MOST_FED_BACK = 0.5  # going up and down again with an efficiency of 0.7 each way gives half of it back
 
 
@@ -44,10 +48,15 @@ def electric(
     name: str,
     repairs: dict[str, int],
     currents: Currents = "auto",
+    *,
+    signed: Collection[str] = (),
+    notes: list[str] | None = None,
 ) -> tuple[FloatArray, FloatArray | None, FloatArray | None, Currents | None, bool]:
     """Return current, voltage and power without spikes and blanks, and take their columns out of `numbers`.
 
-    `numbers` (n,); `t` (n,): stamps [s]. Result: current [A], NaN where only power was logged; voltage [V] and power
+    `numbers` (n,); `t` (n,): stamps [s]; `signed`: which of them are positive while the battery discharges, as the user
+    or the log says; `notes`: what is to be known is added. Result: current [A], NaN where only power was logged;
+    voltage [V] and power
     [W], None where they were not logged, (n,) each; how several currents of which some are negative were summed, None
     where the log leaves no choice; and whether the current is a sum of several.
     """
@@ -65,15 +74,16 @@ def electric(
         of_readings = any(held[each] for each in read)  # a reading that is a spike looks like the others
         return filled if of_readings else _without_spikes(t, values, filled, share, key, repairs)
 
-    power = _logged(numbers, "power", t, numbers.get("voltage"), repairs)
+    notes = [] if notes is None else notes
+    power = _logged(numbers, "power", t, signed, repairs, notes)
     if power is not None:
         power = _repaired(power, 1.0, "power", ["power"])
+    current, how = _logged(numbers, "current", t, signed, repairs, notes), None
     voltage = numbers.pop("voltage", None)
     if voltage is not None and not np.isfinite(voltage).any():
         voltage = None
     if voltage is not None:
         voltage = _repaired(voltage, 0.25, "voltage", ["voltage"])
-    current, how = _logged(numbers, "current", t, voltage, repairs), None
     summed = current is None and bool(parts)
     if summed:
         current, how = _summed({key: numbers.pop(key) for key in parts}, numbers, repairs, currents)
@@ -93,27 +103,73 @@ def electric(
 
 
 def _logged(
-    numbers: dict[str, FloatArray], key: str, t: FloatArray, voltage: FloatArray | None, repairs: dict[str, int]
+    numbers: dict[str, FloatArray],
+    key: str,
+    t: FloatArray,
+    signed: Collection[str],
+    repairs: dict[str, int],
+    notes: list[str],
 ) -> FloatArray | None:
-    """A total, positive while the battery discharges."""
-    values = numbers.pop(key, None)
-    if values is not None:
-        flowing = np.isfinite(values) & (values != 0)  # at rest some ammeters say 0
-        if flowing.any() and _charges(t[flowing], values[flowing], None if voltage is None else voltage[flowing]):
-            add_count(repairs, f"{key}_sign_flipped", 1)
-            return -values
-    return values
+    """A total, positive while the battery discharges.
 
-
-def _charges(t: FloatArray, values: FloatArray, voltage: FloatArray | None) -> bool:
-    """Whether positive values charge the battery: usually it discharges, in most rows and in sum.
-
-    Where these differ, as on a way down or with a charger at the end, the voltage tells: it falls under load.
+    Usually a battery discharges, in most rows and in sum. On a way down it need not: there its voltage, which falls
+    under load, or its acceleration, which takes power, says which sign it has.
     """
-    usual, total = np.median(values) < 0, np.trapezoid(values, t) < 0
-    if usual == total or voltage is None:
-        return bool(usual)
-    return bool(np.nansum(np.diff(values) * np.diff(voltage)) > 0)
+    values = numbers.pop(key, None)
+    if values is None or key in signed:
+        return values
+    flowing = np.isfinite(values) & (values != 0)  # at rest some ammeters say 0
+    if not flowing.any():
+        return values
+    usual, total = np.median(values[flowing]) < 0, np.trapezoid(values[flowing], t[flowing]) < 0
+    seen = _seen_to_charge(t[flowing], values[flowing], {name: each[flowing] for name, each in numbers.items()})
+    charges = usual if seen is None else seen
+    if charges:
+        add_count(repairs, f"{key}_sign_flipped", 1)
+    if seen is None and charges:
+        notes.append(
+            f"its `{key}` is negative in most rows, so its sign is changed, as a battery discharges more than it "
+            f"charges: if it did charge, as on a way down, say so with a mapping: {key}=+ and the name of its column"
+        )
+    elif charges != usual or (charges != total and usual == total):
+        notes.append(
+            f"in most rows its `{key}` charges the battery, as its voltage or its acceleration says: if it does not, "
+            f"say so with a mapping: {key}={'+' if charges else '-'} and the name of its column"
+        )
+    return -values if charges else values
+
+
+def _seen_to_charge(t: FloatArray, values: FloatArray, others: Mapping[str, FloatArray]) -> bool | None:
+    """Whether positive values charge the battery, as the voltage says that falls under load, or else the acceleration,
+    which takes power; None where neither says it clearly.
+    """
+    if "voltage" in others and (found := _follows(t, values, others["voltage"])):
+        return found > 0
+    speed = others["speed"] if "speed" in others else speed_of(t, others)
+    rising = speed is not None and t.size >= _LEAST_SEEN and bool((np.diff(t) > 0).all())
+    if speed is not None and rising and (found := _follows(t, values, np.gradient(0.5 * speed**2, t))):
+        return found < 0
+    return None
+
+
+def _follows(t: FloatArray, values: FloatArray, other: FloatArray) -> int:
+    """1 where another quantity rises with the values, -1 where it falls, by its steps and by its course around a
+    straight line; 0 where these differ, or may be chance.
+    """
+    both = np.isfinite(values) & np.isfinite(other)
+    if both.sum() < _LEAST_SEEN:
+        return 0
+    t, values, other = t[both], values[both], other[both]
+    level = _likeness(*(each - np.polyval(np.polyfit(t - t[0], each, 1), t - t[0]) for each in (values, other)))
+    steps = _likeness(np.diff(values), np.diff(other))
+    clear = level * steps > 0 and abs(level) > _LEAST_LIKE and abs(steps) > _CLEAR / np.sqrt(t.size)
+    return int(np.sign(level)) if clear else 0
+
+
+def _likeness(a: FloatArray, b: FloatArray) -> float:
+    """Correlation; 0 with what is constant."""
+    spread = float(a.std() * b.std())
+    return float(np.mean((a - a.mean()) * (b - b.mean()))) / spread if spread > 0 else 0.0
 
 
 def _summed(

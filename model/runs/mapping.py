@@ -16,7 +16,16 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from joulemap.model.errors import RunsError
-from joulemap.model.runs.units import UNITS, conversion, known_unit, own_unit, quantity_of, unit_in_name
+from joulemap.model.runs.units import (
+    COUNTED,
+    PER_ROW,
+    UNITS,
+    conversion,
+    known_unit,
+    own_unit,
+    quantity_of,
+    unit_in_name,
+)
 
 MappingLike = Mapping[str, str] | Sequence[str] | str | Path
 """A dict, texts such as `current=batt_current_mA:mA`, or the name of a TOML file."""
@@ -24,8 +33,10 @@ MappingLike = Mapping[str, str] | Sequence[str] | str | Path
 CAPACITY = "capacity_wh"
 """What the battery holds [Wh], said as a number: with it, a state of charge is an energy."""
 
+SIGNS = {"+": 1, "-": -1}
+"""Before the name of a column; of a power or a current it says which sign discharges."""
+
 _TARGET = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}")
-_SIGNS = {"+": 1, "-": -1}
 _MOST_ENTRIES = 200
 _LONGEST_SOURCE = 500
 
@@ -104,7 +115,10 @@ def source_of(target: str, text: str, columns: Collection[str], name: str) -> So
         raise _no_column(target, wanted, columns, name)
     unit = known_unit(target, word.strip())
     if unit is None:
-        known = ", ".join(UNITS.get(quantity_of(target) or "", {})) or "none"
+        units = UNITS.get(quantity_of(target) or "", {})
+        known = ", ".join(units) or "none"
+        if target in COUNTED:
+            known += f", each with {PER_ROW} where a row says what came since the row before"
         raise RunsError(
             f"run {name}: `{target}` cannot be in {word.strip()[:40]!r}: its units are {known}, or a factor such as "
             "0.01",
@@ -144,8 +158,8 @@ def _parts(text: str, columns: Collection[str]) -> tuple[tuple[int, str], ...] |
     text, parts = text.strip(), list[tuple[int, str]]()
     while text:
         sign = 1
-        if text[0] in _SIGNS and (parts or text not in columns):
-            sign, text = _SIGNS[text[0]], text[1:].lstrip()
+        if text[0] in SIGNS and (parts or text not in columns):
+            sign, text = SIGNS[text[0]], text[1:].lstrip()
         elif parts:
             return None
         fitting = [column for column in columns if column and text.startswith(column) and _ends(text[len(column) :])]
@@ -165,7 +179,7 @@ def _is_number(text: str) -> bool:
 
 
 def _ends(rest: str) -> bool:
-    return not rest.strip() or rest.lstrip()[0] in _SIGNS
+    return not rest.strip() or rest.lstrip()[0] in SIGNS
 
 
 def _no_column(target: str, wanted: str, columns: Collection[str], name: str) -> RunsError:

@@ -54,7 +54,7 @@ _ABOUT = _set(
     "tot sum setup overall all input in bus dc hv supply system sys sensor measured actual value data inverter "
     "vehicle car robot base mcu esc vesc of the and today abs log logged header since start device obd traction "
     "ground location loc geo coordinates point track enhanced is true field msg message data hybrid bms filtered body "
-    "tform transform"
+    "tform transform discharge"
 )
 """Words that do not change what a column is."""
 
@@ -91,6 +91,12 @@ _TOTAL = _set("total tot sum setup overall all")
 _BATTERY = _set("battery batt bat pack")
 _VOCABULARY = frozenset().union(*_WORDS.values(), _OTHER_QUANTITIES, _ABOUT, _NEVER, _ELECTRIC, SIDES)
 _QUANTITY_WORDS = frozenset().union(*_WORDS.values(), _OTHER_QUANTITIES)
+
+NEEDED = ("t", "x", "y", "lat", "lon", "voltage", "current", "power", "speed", "distance")
+"""What a run may not go without, where a log has it."""
+
+DISCHARGE = "discharge"
+"""In the name of a power or a current: it is positive while the battery discharges."""
 
 NAMED, LIKELY, POSSIBLE = 3, 2, 1
 """How surely a name says what a column is: by nothing but words for it, with words about it, with unknown words."""

@@ -7,6 +7,7 @@ import numpy as np
 from joulemap.model.ranges import ROBOT
 from joulemap.model.runs.agreement import MOST_A, MOST_V, in_degrees, most_amps
 from joulemap.model.runs.arcs import SELDOM_S
+from joulemap.model.runs.clocks import of_clocks
 from joulemap.model.runs.counters import summed
 from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments
@@ -69,6 +70,11 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
             "m: are `x` and `y` a longitude and a latitude? Then call them `lon` and `lat`"
         )
     return found
+
+
+def doubtful(run: Run, segments: Segments | None) -> list[str]:
+    """Return what is to be known of a run that is kept: sentences on its length and on its clocks."""
+    return [*of_length(run, segments), *of_clocks(run)]
 
 
 def of_length(run: Run, segments: Segments | None) -> list[str]:

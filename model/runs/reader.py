@@ -23,8 +23,10 @@ Rules, in this order. Their keys in `Run.repairs` are given in brackets; a key i
    run has no such value elsewhere, for one row or less than half a second, because vehicles brake and start for longer
    [voltage_spikes, current_spikes]. Spikes and blanks [blank_voltage, blank_current]
    are replaced by straight lines in time.
-7. If a single current or power is mostly negative, it counts discharge as negative, and its sign is changed
-   [current_sign_flipped, power_sign_flipped]. The currents of several motors are summed with the sign of power; where
+7. If a single current or power counts discharge as negative, its sign is changed [current_sign_flipped,
+   power_sign_flipped]: as the voltage says, which falls under load, or the acceleration, which takes power; where
+   neither is clear, if it is mostly negative. A sign that is said, `current=+pack`, or a name such as
+   `discharge_current`, is kept. The currents of several motors are summed with the sign of power; where
    their signs are those of directions, wheel speeds give them that of power [currents_signed_by_wheels], or magnitudes
    are summed [currents_as_magnitudes]; see `joulemap.model.runs.electric`.
 
@@ -34,7 +36,7 @@ Dropped rows and long blanks leave gaps, which `joulemap.model.runs.segments` do
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -140,7 +142,7 @@ def run_of_table(table: Table, *, name: str, odometry: Odometry | None = None, *
     numbers, texts = dict(table.numbers), dict(table.texts)
     if odometry is not None:
         with_track(numbers, texts, odometry, name)
-    run = run_of(numbers, texts, name=name, **options)
+    run = run_of(numbers, texts, name=name, signed=table.signed, **options)
     return replace(run, reading=table.reading, notes=(*table.notes, *run.notes), confidence=table.confidence)
 
 
@@ -152,12 +154,14 @@ def run_of(
     crs: str | None = None,
     repairs: dict[str, int] | None = None,
     currents: Currents = "auto",
+    signed: Collection[str] = (),
 ) -> Run:
     """Make a run of columns that are read already, which are changed.
 
-    `numbers`, `texts` (n,): NaN where blank; `repairs`: what was counted while they were read.
+    `numbers`, `texts` (n,): NaN where blank; `repairs`: what was counted while they were read; `signed`: as of
+    `electric`.
     """
-    repairs = {} if repairs is None else repairs
+    repairs, notes = {} if repairs is None else repairs, list[str]()
     if "t" in texts:
         row = next((k for k, cell in enumerate(texts["t"].tolist()) if cell.strip()), 0)
         raise RunsError(
@@ -181,7 +185,9 @@ def run_of(
     whole_j = _of_charge(numbers, name)
     unknown_s = _unknown(t, numbers)
     if whole_j is None:
-        current, voltage, power, how, of_motors = electric(numbers, t, name, repairs, currents)
+        current, voltage, power, how, of_motors = electric(
+            numbers, t, name, repairs, currents, signed=signed, notes=notes
+        )
     else:
         current, voltage, power, how, of_motors = np.full(t.size, np.nan), None, None, None, False
     placed = "distance" not in numbers or bool({"x", "lat"} & numbers.keys())
@@ -210,6 +216,7 @@ def run_of(
         power,
         how,
         of_motors,
+        notes=tuple(notes),
         placed=placed,
         unknown_s=unknown_s,
         whole_j=whole_j,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_place, check_units
-from joulemap.model.runs.files import distinct_names, read_segments
+from joulemap.model.runs.files import distinct_names, read_segments, same_content
 from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments, concatenate_segments
@@ -94,6 +94,17 @@ def files_of(sites: Sequence[Site]) -> list[Path]:
     twice = next((file for k, file in enumerate(files) if places[k] in places[:k]), None)
     if twice is not None:
         raise InputError(f"the run {twice} is given twice: a run belongs to one map", run=str(twice))
+    for site in sites:
+        copies = same_content([*site.files, *(each for each in site.baseline_files if each not in site.files)])
+        both = next(
+            (each for each in site.baseline_files if each in site.files or copies.get(each) in site.files), None
+        )
+        if both is not None:
+            raise InputError(
+                f"{both.name} is a run to learn from and a baseline run: nothing is new in a run beside itself. "
+                "Name earlier runs as baseline",
+                run=str(both),
+            )
     return files
 
 

@@ -16,6 +16,7 @@ from joulemap.model.runs.columns_of_motion import (
     take_speed,
     time_of,
     with_heading,
+    without_frozen_positions,
     without_null_island,
     without_standing_positions,
 )
@@ -24,11 +25,14 @@ from joulemap.model.runs.common_rows import aligned
 from joulemap.model.runs.counters import total_of
 from joulemap.model.runs.formats.columns import DATE
 from joulemap.model.runs.formats.contract import Stream
-from joulemap.model.runs.mapping import CAPACITY, Source
+from joulemap.model.runs.mapping import CAPACITY, SIGNS, Source
+from joulemap.model.runs.names import DISCHARGE
+from joulemap.model.runs.names import words_of as words_of_name
 from joulemap.model.runs.recognition import recognised
 from joulemap.model.runs.table import FloatArray, TextArray, add_count
 from joulemap.model.runs.units import own_unit
 
+SIGNED = ("power", "current")
 _SHUFFLED = 0.2  # of the steps between rows go back in time
 
 
@@ -50,6 +54,8 @@ class Table:
         What is to be known of the file: that it was cut off, for example.
     confidence : dict of str to float
         By joulemap's column, how sure it is that this is it, 0 to 1.
+    signed : frozenset of str
+        Of `power` and `current`, those that are positive while the battery discharges, as the user or a name says.
     """
 
     numbers: dict[str, FloatArray]
@@ -58,6 +64,7 @@ class Table:
     format: str = ""
     notes: tuple[str, ...] = ()
     confidence: dict[str, float] = field(default_factory=dict)
+    signed: frozenset[str] = frozenset()
 
 
 def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dict[str, int]) -> Table:
@@ -130,6 +137,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
     take_counters(numbers, reading, found, mapping, name)
     if CAPACITY in chosen and not chosen[CAPACITY].parts and "t" in numbers:
         numbers[CAPACITY] = np.full(numbers["t"].size, float(chosen[CAPACITY].unit))
+    without_frozen_positions(numbers, found)
     take_distance(numbers, reading, found, name)
     numbers |= {column: values for column, values in rest.items() if column not in numbers}
     for key in ("power", "current"):
@@ -143,7 +151,15 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
             for column in source.columns:
                 add_count(repairs, f"unreadable_{target}", stream.unread.get(column, 0))
     kept = {key: share for key, share in found.confidence.items() if key in numbers}
-    return Table(numbers, others, {k: v for k, v in reading.items() if k in numbers}, "", tuple(found.notes), kept)
+    reading = {key: words for key, words in reading.items() if key in numbers}
+    return Table(numbers, others, reading, "", tuple(found.notes), kept, _signed(chosen, mapping))
+
+
+def _signed(chosen: Mapping[str, Source], mapping: Mapping[str, str]) -> frozenset[str]:
+    """Of power and current those whose sign is said: `power=-column`, or `discharge_power`."""
+    said = {key for key in SIGNED if mapping.get(key, "")[:1] in SIGNS and mapping[key] not in chosen[key].columns}
+    named = {key for key in SIGNED if key in chosen and DISCHARGE in words_of_name(chosen[key].columns[0])}
+    return frozenset(said | named)
 
 
 def _in_order(stream: Stream, source: Source, name: str, repairs: dict[str, int]) -> Stream:

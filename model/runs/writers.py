@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from joulemap.model.runs.names import DISCHARGE
 from joulemap.model.runs.table_columns import Table
 
 _FIRST = ("t", "x", "y", "lat", "lon", "z", "voltage", "current", "power")
@@ -22,7 +23,7 @@ def write_csv(path: str | Path, table: Table) -> None:
     rows = len(next(iter(columns.values())))
     with Path(path).open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(columns)
+        writer.writerow(f"{DISCHARGE}_{column}" if column in table.signed else column for column in columns)
         for start in range(0, rows, _ROWS):
             part = [_cells(values[start : start + _ROWS]) for values in columns.values()]
             writer.writerows(zip(*part, strict=True))

@@ -14,7 +14,7 @@ from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.logs import read_log
 from joulemap.model.runs.odometry import Odometry
-from joulemap.model.runs.plausible import implausible, of_length
+from joulemap.model.runs.plausible import doubtful, implausible
 from joulemap.model.runs.reader import run_of, run_of_table
 from joulemap.model.runs.rolling import cut_travel, rolled_m
 from joulemap.model.runs.run import Run
@@ -109,7 +109,7 @@ def read_sent_run(
         found["first_rows"] = _first_rows(table)
         if picture:
             found["track"] = _track(run)
-        found["warnings"] = [*table.notes, *found["warnings"]]
+        found["warnings"] = [*run.notes, *found["warnings"]]
         if out is not None and (always or table.reading or table.format != _PLAIN):
             begun = Path(f"{out}.part")
             try:
@@ -204,7 +204,7 @@ def _about(run: Run, name: str, limits: RunLimits, asked: RunReading) -> dict[st
         "energy_std_j": spread,
         "unknown_seconds": run.unknown_s,
         "placed": run.placed and odometry is None,
-        "warnings": [*wrong, *of_length(run, None if odometry is not None else segments)],
+        "warnings": [*wrong, *doubtful(run, None if odometry is not None else segments)],
     }
 
 

@@ -12,6 +12,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from joulemap.model.errors import NotFoundError, RunsError
 from joulemap.model.recordings.split import is_split
 from joulemap.model.runs.files import copies_words, same_content
@@ -42,18 +44,30 @@ def kept_table(table: Any) -> Path:
     name = f"table_{next(_NUMBERS)}.parquet"
     try:
         if isinstance(table, Mapping):
-            found = pa.table({str(key): pa.array(values, from_pandas=True) for key, values in table.items()})
+            found = pa.table({str(key): pa.array(_plain(v), from_pandas=True) for key, v in table.items()})
         elif isinstance(table, pa.Table):
             found = table
         elif hasattr(table, "to_arrow"):  # polars
             found = table.to_arrow()
         else:
-            found = pa.Table.from_pandas(table.set_axis(named([str(key) for key in table.columns]), axis=1))
+            frame = table.set_axis(named([str(key) for key in table.columns]), axis=1)
+            objects = frame.select_dtypes("object")
+            found = pa.Table.from_pandas(frame.assign(**{key: _plain(objects[key].to_numpy()) for key in objects}))
     except (pa.ArrowException, TypeError, ValueError) as error:
         raise RunsError(f"run {name}: not a readable table: {str(error)[:200]}", run=name) from error
     place = _folder() / name
     pq.write_table(found, place)
     return place
+
+
+def _plain(values: Any) -> Any:
+    """Numbers of an array of objects, such as arrays of one number; what holds other things stays as it is."""
+    if getattr(getattr(values, "dtype", None), "kind", "") != "O":
+        return values
+    try:
+        return np.array([np.nan if each is None else float(np.squeeze(each)) for each in values])
+    except (TypeError, ValueError):
+        return values
 
 
 def is_kept(path: Path) -> bool:
@@ -166,7 +180,7 @@ def read_runs(files: RunsLike, *, crs: str | None = None, mapping: MappingLike |
     """
     from joulemap.model.runs.cutting import cut_segments
     from joulemap.model.runs.files import distinct_names
-    from joulemap.model.runs.plausible import implausible, of_length
+    from joulemap.model.runs.plausible import doubtful, implausible
     from joulemap.model.runs.reader import read_run
 
     if isinstance(files, Runs):
@@ -177,7 +191,7 @@ def read_runs(files: RunsLike, *, crs: str | None = None, mapping: MappingLike |
     runs = tuple(read_run(path, name=name, crs=crs, mapping=entries) for path, name in zip(paths, names, strict=True))
     for run in runs:
         segments = cut_segments(run, charge=not run.has_energy)
-        for found in (*run.notes, *implausible(run, segments), *of_length(run, segments)):
+        for found in (*run.notes, *implausible(run, segments), *doubtful(run, segments)):
             warnings.warn(f"run {run.name}: {found}", stacklevel=2)
     return Runs(tuple(paths), runs)
 

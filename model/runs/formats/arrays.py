@@ -13,6 +13,7 @@ from joulemap.model.errors import RunsError
 from joulemap.model.runs.formats.columns import named
 from joulemap.model.runs.formats.contract import Log, Stream
 from joulemap.model.runs.formats.messages import reading
+from joulemap.model.runs.names import NEEDED, candidate
 from joulemap.model.runs.table import LEAST_ROWS, TableLimits, usable
 from joulemap.model.source_file import SourceFile
 
@@ -28,7 +29,7 @@ def recognise(head: bytes, name: str) -> bool:
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
     """Read the arrays that have the usual length."""
-    name, found, said = source.name, dict[str, Any](), dict[str, str]()
+    name, found, said, objects = source.name, dict[str, Any](), dict[str, str](), set[str]()
     with reading("file of arrays", name, lambda: "in one of its arrays"), source.open() as stream:
         if source.head.startswith(_MATLAB):
             from scipy.io import loadmat
@@ -45,10 +46,19 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             with zipfile.ZipFile(stream) as archive:
                 limits.check(sum(each.file_size for each in archive.infolist()) // 8, 1, name)
                 names = [each.filename for each in archive.infolist() if each.filename.endswith(".npy")]
-                plain = [each for each in names if not _holds_objects(archive, each)]
+                objects = {each for each in names if _holds_objects(archive, each)}
             stream.seek(0)
             with np.load(stream, allow_pickle=False) as arrays:
-                found = {each.removesuffix(".npy"): arrays[each] for each in plain}
+                found = {each.removesuffix(".npy"): arrays[each] for each in names if each not in objects}
+    notes = []
+    if objects:
+        listed = ", ".join(sorted(each.removesuffix(".npy") for each in objects))[:200]
+        notes.append(
+            f"{listed} {'hold' if len(objects) > 1 else 'holds'} objects of Python, which could run code and are not "
+            "read: save numbers, array.astype(float)"
+        )
+        if any(candidate(key, each.removesuffix(".npy")) for key in NEEDED for each in objects):
+            raise RunsError(f"run {name}: {notes[0]}", run=name)
     columns = [(path, values) for path, values in _columns(found, "", 0) if len(values) >= LEAST_ROWS]
     if not columns:
         raise RunsError(f"run {name} holds no array of {LEAST_ROWS} numbers or more", run=name)
@@ -60,7 +70,9 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         paths = [path.partition(".")[2] for path in paths]  # of a structure that holds all
     names = named(paths)
     numbers = {key: np.asarray(values, dtype=np.float64) for key, (_, values) in zip(names, same, strict=True)}
-    return Log((Stream("", usable(numbers), units={key: unit for key, unit in said.items() if unit}),))
+    return Log(
+        (Stream("", usable(numbers), units={key: unit for key, unit in said.items() if unit}),), notes=tuple(notes)
+    )
 
 
 def _holds_objects(archive: zipfile.ZipFile, name: str) -> bool:
@@ -80,6 +92,9 @@ def _columns(value: Any, path: str, depth: int) -> Iterator[tuple[str, np.ndarra
     elif isinstance(value, np.ndarray) and value.dtype.kind == "M":
         seconds = value.astype("datetime64[us]").astype(np.float64) / 1e6
         yield from _columns(np.where(np.isnat(value), np.nan, seconds), path, depth)
+    elif isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 1:  # cells of MATLAB
+        if all(np.ndim(each) == 0 and np.asarray(each).dtype.kind in "fiub" for each in value):
+            yield path, value.astype(np.float64)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
         if value.ndim == 1:
             yield path, value

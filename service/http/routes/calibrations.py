@@ -121,6 +121,11 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     runs = [runs_id for runs_id in dict.fromkeys(wanted.runs) if runs_id not in test]
     if not runs:
         raise InputError("all runs are test runs: there is none to learn from", field="test_runs")
+    if both := [runs_id for runs_id in baseline if runs_id in runs]:
+        raise InputError(
+            f"the runs {both[0]} are runs to learn from and baseline runs: name earlier runs as baseline",
+            field="baseline_runs",
+        )
     sent = [service.store.runs(runs_id) for runs_id in dict.fromkeys([*runs, *baseline, *test])]
     if wanted.campaigns:
         campaigns_of([run["name"] for runs_id in runs for run in service.store.runs(runs_id).stats])
