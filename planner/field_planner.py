@@ -42,6 +42,17 @@ class FieldPlanner(KeptMoves):
         self._towards: OrderedDict[tuple[float, float], EnergyField] = OrderedDict()
         self._reaches: OrderedDict[tuple[tuple[float, ...], bool], ReachField] = OrderedDict()
 
+    @property
+    def turning_notes(self) -> list[str]:
+        """What energies over a map leave out, for a robot with a turning radius; empty for others."""
+        robot = self.lattice.robot
+        if robot.min_turning_radius_m == 0.0:
+            return []
+        return [
+            f"the turning radius of {robot.name}, {robot.min_turning_radius_m:g} m, is not kept: these energies are of "
+            "ways that turn on the spot; a route between two places keeps it"
+        ]
+
     def reach(
         self, start_xy: tuple[float, float], *, round_trip: bool = False, snap: bool = False
     ) -> tuple[ReachField, list[str]]:
@@ -63,7 +74,7 @@ class FieldPlanner(KeptMoves):
         field : ReachField
             For any battery.
         notes : list of str
-            Where the start was moved to, if it was.
+            Where the start was moved to, if it was, and that a turning radius is not kept, if there is one.
 
         Raises
         ------
@@ -73,7 +84,7 @@ class FieldPlanner(KeptMoves):
             If the start is on blocked ground.
         """
         self.needs_memory("a map of reach")
-        notes: list[str] = []
+        notes = self.turning_notes
         start = self._end("start", start_xy, notes, snap)
         table = self._table(ANY_ANGLE_NEIGHBOURS, distance=False)
         key = tuple(start.tolist()), round_trip
@@ -109,10 +120,10 @@ class FieldPlanner(KeptMoves):
         energies : EnergyMap
             Energies [J].
         notes : list of str
-            Where places were moved to.
+            Where places were moved to, and that a turning radius is not kept, if there is one.
         """
         self.needs_memory("a map of energies")
-        notes: list[str] = []
+        notes = self.turning_notes
         here, there = (
             None if xy is None else self._end(name, xy, notes, snap) for name, xy in (("start", start), ("goal", goal))
         )
@@ -187,7 +198,7 @@ class FieldPlanner(KeptMoves):
         matrix : Matrix
             Energies [J], lengths [m] and reasons.
         notes : list of str
-            Where places were moved to.
+            Where places were moved to, and that a turning radius is not kept, if there is one.
 
         Raises
         ------
@@ -195,7 +206,7 @@ class FieldPlanner(KeptMoves):
             If a place is not finite or lies outside the map.
         """
         self.needs_memory("a matrix of energies")
-        notes: list[str] = []
+        notes = self.turning_notes
 
         def _places(name: str, places_xy: Sequence[tuple[float, float]], *, outward: bool) -> list[Place]:
             found: list[Place] = []

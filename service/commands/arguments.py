@@ -30,6 +30,10 @@ RUNNING: ContextVar[Sequence[Any]] = ContextVar("running", default=())
 """Options and arguments of the command that runs, by whose names its warnings call them."""
 
 
+VALUES: ContextVar[frozenset[str]] = ContextVar("values", default=frozenset())
+"""Parameters of the command that runs whose options were typed with a value, and not with the name of a file."""
+
+
 class Command(TyperCommand):
     """A command whose list options take every value up to the next option: `--runs a.csv b.csv --out found`."""
 
@@ -39,8 +43,11 @@ class Command(TyperCommand):
         RUNNING.set(self.params)
         options: list[Any] = [option for option in self.params if option.param_type_name == "option"]
         names = {name for option in options for name in option.opts}
+        words = {word.partition("=")[0] for word in args}
+        values = (one.name for one in options if words & {*one.opts} and "FILE" not in str(one.metavar))
+        VALUES.set(frozenset(values))
         known = {old: new for old, new in RENAMED.items() if new in names and old not in names}
-        for old in sorted({word.partition("=")[0] for word in args} & known.keys()):
+        for old in sorted(words & known.keys()):
             typer.echo(f"note: {old} is now called {known[old]}", err=True)
         return super().parse_args(
             ctx,

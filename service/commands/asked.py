@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type
 
 import typer
 
+from joulemap.model.errors import InputError
 from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.console import Output, PlainErrors, parse_point, parse_share
 from joulemap.service.commands.options import BatteryFile, battery_values, known_model, there
@@ -161,9 +162,24 @@ def _part(parameter: inspect.Parameter, kind: Any) -> _Part:
         values = {option.name: typed.pop(option.name) for option in options}
         changed = {option.name for option in options if values[option.name] != option.default}
         wanted = Wanted(_joined(values), frozenset(changed | ({"battery"} & values.keys())), asked)
-        return wanted if get_args(kind)[0] is Wanted else wanted.typed
+        if get_args(kind)[0] is Wanted:  # which is checked on its map
+            return wanted
+        _check_numbers(asked, {name: typed for name, typed in values.items() if name in changed})
+        return wanted.typed
 
     return _Part(options, _made)
+
+
+def _check_numbers(request: type[BaseModel], typed: Mapping[str, Any]) -> None:
+    """Refuse numbers out of their bounds, before files are read. Raises InputError."""
+    from joulemap.service.questions.given import checked
+
+    numbers = {name: value for name, value in typed.items() if isinstance(value, int | float)}
+    try:
+        checked(request, numbers)
+    except InputError as error:  # other fields come from files
+        if wrong := [one for one in error.context["errors"] if one["field"] in numbers]:
+            raise InputError(error.message, errors=wrong) from None
 
 
 @contextmanager

@@ -19,8 +19,10 @@ from rich.text import Text
 from typer.core import TyperGroup
 
 from joulemap.model.errors import JoulemapError
-from joulemap.service.commands.arguments import RUNNING, with_option_names
+from joulemap.service.commands.arguments import RUNNING, VALUES, with_option_names
 
+_WHOLE = "body"  # the field of what is wrong with a request as a whole
+_WRONG_USAGE = 2  # as of click
 _NOT_INSTALLED = 3  # as for input that cannot be used
 STOPPED = 130
 """Exit code of a command that was stopped by Ctrl-C, as in every shell."""
@@ -47,22 +49,22 @@ class PlainErrors(TyperGroup):
 def plain_errors() -> Iterator[None]:
     """Say an error of the command that runs inside.
 
-    Raises typer.BadParameter for options that do not go together; else typer.Exit with the exit code of
-    `service.problems`, 1 where a file cannot be read or written, 130 after Ctrl-C.
+    Raises typer.BadParameter for options that do not go together; else typer.Exit with 2 for values of options that
+    their request refuses, the exit code of `service.problems`, 1 where a file cannot be read or written, 130 after
+    Ctrl-C.
     """
     try:
         yield
     except JoulemapError as error:
         from joulemap.service.problems import exit_code
-        from joulemap.service.schemas.findings import BODY
 
         options = RUNNING.get()
         words = with_option_names(_said(error), options) + _way_out(error, options)
         wrong = error.context.get("errors")
-        if wrong and all(one["field"] == BODY for one in wrong):  # not a value, but which options are given together
+        if wrong and all(one["field"] == _WHOLE for one in wrong):  # not a value, but which options are given together
             raise typer.BadParameter(words) from error
         fail(words)
-        raise typer.Exit(exit_code(error)) from error
+        raise typer.Exit(_WRONG_USAGE if wrong and _all_typed(wrong) else exit_code(error)) from error
     except KeyboardInterrupt as stop:
         fail(str(stop), mark="stopped")
         raise typer.Exit(STOPPED) from stop
@@ -95,9 +97,19 @@ def _said(error: JoulemapError) -> str:
     wrong = error.context.get("errors")
     if not wrong:
         return error.message
-    names = (next(part for part in reversed(one["field"].split(".")) if not part.isdigit()) for one in wrong)
-    said = ((f"`{name}`: " if name != "body" else "") + one["message"] for name, one in zip(names, wrong, strict=True))
-    return "; ".join(said)
+    names = map(_field_of, wrong)
+    said = ((f"`{name}`: " if name != _WHOLE else "") + one["message"] for name, one in zip(names, wrong, strict=True))
+    return "; ".join(dict.fromkeys(said))
+
+
+def _field_of(wrong: Mapping[str, Any]) -> str:
+    """The innermost field that a finding is about."""
+    return next((part for part in reversed(wrong["field"].split(".")) if not part.isdigit()), _WHOLE)
+
+
+def _all_typed(wrong: Iterable[Mapping[str, Any]]) -> bool:
+    """Whether what a request refuses was typed as values of options, and not read from files."""
+    return all(_field_of(one) in VALUES.get() for one in wrong)
 
 
 def _way_out(error: JoulemapError, options: Iterable[Any]) -> str:

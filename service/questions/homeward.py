@@ -98,7 +98,7 @@ def ask(planner: RoutePlanner, wanted: ReturnRequest) -> Homeward:
     ways = [found.home, *found.charging]
     if not any(np.isfinite(way.energy_j) for way in ways):
         raise asked.planner.no_way(places(wanted.position, "position"), places(wanted.home, "home"))
-    return replace(found, notes=tuple(places.notes))
+    return replace(found, notes=(*places.notes, *asked.planner.turning_notes))
 
 
 def is_quick(planner: RoutePlanner, wanted: ReturnRequest) -> bool:

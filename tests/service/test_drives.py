@@ -204,6 +204,8 @@ def test_a_drive_whose_cost_map_was_deleted_is_a_conflict(
     answer = client.post(f"/v1/drives/{drive['id']}/updates", json={"samples": samples(path, 1.0)})
     assert answer.status_code == 409
     assert "was deleted" in answer.json()["detail"]
+    answer = client.get(f"/v1/drives/{drive['id']}/charge")
+    assert (answer.status_code, f"its last forecast is at /v1/drives/{drive['id']}" in answer.text) == (409, True)
     assert client.get(f"/v1/drives/{drive['id']}").json() == drive
 
 

@@ -248,5 +248,5 @@ def test_help_shows_choices_and_null_is_an_answer(costmap, tmp_path):
     assert found.exit_code == 0, found.output
     assert json.loads((tmp_path / "found.json").read_text())["home"]["probability"] is None
     wrong = runner.invoke(app, [*asked, "--confidence", "0.2"])
-    assert wrong.exit_code == 3
+    assert wrong.exit_code == 2
     assert "--confidence: Input should be greater than or equal to 0.5, got 0.2" in wrong.output

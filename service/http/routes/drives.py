@@ -142,7 +142,8 @@ async def _over_its_map(
             service.done_costmap(costmap_id)
         except NotFoundError:
             raise ConflictError(
-                f"the cost map {costmap_id} of drive {drive_id} was deleted: begin a drive over another one",
+                f"the cost map {costmap_id} of drive {drive_id} was deleted, and the energies along its route with it: "
+                f"its last forecast is at /v1/drives/{drive_id}; begin a drive over another cost map",
                 costmap_id=costmap_id,
             ) from None
         return work()
