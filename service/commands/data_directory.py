@@ -108,8 +108,9 @@ def check(
     """**Verify a data directory**: the database, and that rows and files belong together and can be read.
 
     `--repair` deletes what killed processes left, has damaged cost maps and calibrations made again at the next start,
-    reads heightmaps again whose rows are damaged, and moves what belongs to nothing into the folder `removed`. The exit
-    code is 1 where something stays wrong.
+    reads heightmaps again whose rows are damaged, and moves what belongs to nothing, and damaged heightmaps and runs,
+    into the folder `removed`: the latter are answered as gone, and what was made from them stays. The exit code is 1
+    where something stays wrong.
 
     Example: `joulemap check --repair --data-dir /var/lib/joulemap`
     """

@@ -9,11 +9,12 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from joulemap.model.errors import ConflictError, JoulemapError
+from joulemap.model.errors import ConflictError, JoulemapError, NotFoundError
 from joulemap.service.problems import problem_of
 from joulemap.service.schemas.base import Problem, RobotOut, UnreadableOut
 from joulemap.service.schemas.loop import CalibrationOut, RunOut, RunsOut
 from joulemap.service.schemas.maps import CostmapOut, HeightmapOut
+from joulemap.service.storage.sent import there
 from joulemap.service.storage.tables import (
     DONE,
     NO_TIME,
@@ -22,6 +23,7 @@ from joulemap.service.storage.tables import (
     HeightmapRow,
     JobRow,
     RunsRow,
+    Sent,
     named_test_runs,
 )
 
@@ -33,10 +35,13 @@ Answer = TypeVar("Answer", bound=BaseModel)
 def shown(row: Row, answer: Callable[[Row], Answer]) -> Answer:
     """Return the answer about a row.
 
-    Raises ConflictError if an older version stored values in it that are not valid.
+    Raises ConflictError if an older version stored values in it that are not valid, NotFoundError if a repair put away
+    what was sent.
     """
     try:
-        return answer(row)
+        return answer(there(row) if isinstance(row, Sent) else row)
+    except NotFoundError:
+        raise
     except (ValidationError, JoulemapError, LookupError, TypeError, ValueError, AttributeError) as error:
         _LOG.warning("%s cannot be shown", row.id, exc_info=error)
         raise ConflictError(f"{row.id} is kept, but cannot be shown: {_reason(error)}. Delete it", id=row.id) from error
@@ -48,7 +53,7 @@ def listed(rows: Iterable[Row], answer: Callable[[Row], Answer]) -> list[Answer 
     for row in rows:
         try:
             found.append(shown(row, answer))
-        except ConflictError as error:
+        except (ConflictError, NotFoundError) as error:
             problem = Problem(**problem_of(error))
             found.append(UnreadableOut(id=row.id, created_at=row.created_at.replace(tzinfo=dt.UTC), problem=problem))
     return found

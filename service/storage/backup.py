@@ -36,6 +36,7 @@ from joulemap.service.storage.tables import (
     CalibrationRow,
     HeightmapRow,
     RunsRow,
+    Sent,
 )
 
 FORMAT = "joulemap.backup/1"
@@ -167,7 +168,7 @@ def _rows(session: Session, store: Store, models_dir: Path) -> Iterator[tuple[An
     """All rows with files: table, id, where its files are, and their place in the copy."""
     tables: list[Any] = [HeightmapRow, RunsRow, *JOBS.values()]
     for table in tables:
-        query = select(table.id) if table in (HeightmapRow, RunsRow) else select(table.id).where(table.status == DONE)
+        query = select(table.id).where(table.gone.is_(None) if issubclass(table, Sent) else table.status == DONE)
         for row_id in session.scalars(query):
             place = store.path(table, row_id)
             yield table, row_id, place, place.relative_to(store.folder).as_posix()

@@ -14,6 +14,7 @@ from typing import Any
 
 from sqlalchemy import delete, select, text, update
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from joulemap.model.errors import DamagedError, JoulemapError
 from joulemap.model.terrain.readers import read_sent
@@ -113,7 +114,7 @@ class Check:
             return
         with self._store.sessions() as session:
             row = session.get(table, row_id)
-        if row is not None and (table in (HeightmapRow, RunsRow) or row.status == DONE):
+        if row is not None and (row.gone is None if table in (HeightmapRow, RunsRow) else row.status == DONE):
             yield from self._files(table, row)
 
     def _unreadable(self, table: Any, row_id: str, instead: Mapping[str, Any] | None = None) -> str | None:
@@ -191,6 +192,10 @@ class Check:
                 remedy, repair = "delete the copy; the object store has it", partial(remove, place)
             elif table in (CostmapRow, CalibrationRow):
                 remedy, repair = "make it again", lambda: self._ask_again(table, row.id)
+            else:
+                words = wrong
+                remedy = f"move what is there to {REMOVED}/, and answer that it is to be sent again"
+                repair = lambda: self._quarantine(table, row.id, place, words)  # noqa: E731
             yield Finding("damaged" if place.exists() else "missing", row.id, wrong, remedy, repair)
 
     def _without_sums(self, table: Any, row_id: str, place: Path, error: DamagedError) -> Finding:
@@ -273,14 +278,26 @@ class Check:
         self._store.discard(row_id, self._models)
         self._change(table, row_id, **_ASKED_AGAIN)
 
+    def _quarantine(self, table: Any, row_id: str, place: Path, wrong: str) -> None:
+        """Put away what was sent and is damaged; its row stays for what was made from it, and says what was wrong."""
+        self._change(table, row_id, gone=wrong, bytes=0)
+        with self._store.sessions() as session:
+            self._record(session, table, row_id)
+        if place.exists():
+            self._put_away(place, str(place.relative_to(self._dir)))
+
+    def _record(self, session: Session, table: Any, row_id: str) -> None:
+        """Write a row beside what is put away."""
+        query = text(f"select * from {table.__tablename__} where id = :id")
+        raw = dict(session.execute(query, {"id": row_id}).mappings().one())
+        folder = self._dir / REMOVED
+        folder.mkdir(exist_ok=True)
+        (folder / f"{row_id}.json").write_text(json.dumps(raw, default=str), encoding="utf-8")
+
     def _remove(self, table: Any, row_id: str) -> None:
         """Remove a row that nobody can read, and keep its text and its files."""
         with self._store.sessions.begin() as session:
-            query = text(f"select * from {table.__tablename__} where id = :id")
-            raw = dict(session.execute(query, {"id": row_id}).mappings().one())
-            folder = self._dir / REMOVED
-            folder.mkdir(exist_ok=True)
-            (folder / f"{row_id}.json").write_text(json.dumps(raw, default=str), encoding="utf-8")
+            self._record(session, table, row_id)
             session.execute(delete(table).where(table.id == row_id))
         place = self._store.path(table, row_id)
         with suppress(JoulemapError, OSError):  # an object that is damaged, or a store that is away

@@ -13,7 +13,7 @@ from typing import Any
 from sqlalchemy import Text, cast, or_, select, update
 from sqlalchemy.orm import Session
 
-from joulemap.model.errors import ConflictError
+from joulemap.model.errors import ConflictError, NotFoundError
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import open_ground
 from joulemap.model.terrain.windows import Ground
@@ -50,8 +50,8 @@ class KeptSent(Kept):
         return row
 
     def heightmap(self, heightmap_id: str) -> HeightmapRow:
-        """Return the row of a heightmap. Raises NotFoundError if there is none."""
-        return self._row(HeightmapRow, "is no heightmap", heightmap_id=heightmap_id)
+        """Return the row of a heightmap. Raises NotFoundError if there is none, or its file is gone."""
+        return there(self._row(HeightmapRow, "is no heightmap", heightmap_id=heightmap_id))
 
     def open_heightmap(self, heightmap_id: str, asked: Mapping[str, Any] | None = None) -> Ground:
         """Open a heightmap to read it by windows, with the layers of the request of a cost map.
@@ -83,7 +83,7 @@ class KeptSent(Kept):
         Raises NotFoundError if there is none; ConflictError if cost maps or calibrations were made from it; their ids
         are in the context.
         """
-        row = self.heightmap(heightmap_id)
+        row = self._row(HeightmapRow, "is no heightmap", heightmap_id=heightmap_id)
 
         def _unless_used(session: Session) -> None:
             # who adds a user at the same moment waits, or has added it
@@ -115,6 +115,7 @@ class KeptSent(Kept):
 
     def intact_heightmap(self, heightmap_id: str) -> Path:
         """Return the file of a heightmap, here and as it was kept. Raises DamagedError where it is not."""
+        self.heightmap(heightmap_id)
         return self.intact(HeightmapRow, heightmap_id, self.path(HeightmapRow, heightmap_id))
 
     def add_runs(self, files: Sequence[tuple[str, Path]], stats: list[dict[str, Any]]) -> RunsRow:
@@ -131,8 +132,8 @@ class KeptSent(Kept):
         return row
 
     def runs(self, runs_id: str) -> RunsRow:
-        """Return the row of runs that were sent together. Raises NotFoundError if there is none."""
-        return self._row(RunsRow, "are no runs", runs_id=runs_id)
+        """Return the row of runs that were sent together. Raises NotFoundError if there is none, or they are gone."""
+        return there(self._row(RunsRow, "are no runs", runs_id=runs_id))
 
     def run_files(self, runs_id: str) -> list[Path]:
         """Return the files of runs that were sent together. Raises NotFoundError if there is none."""
@@ -143,7 +144,7 @@ class KeptSent(Kept):
 
         Raises NotFoundError if there are none; ConflictError if calibrations use them; their ids are in the context.
         """
-        row = self.runs(runs_id)
+        row = self._row(RunsRow, "are no runs", runs_id=runs_id)
 
         def _unless_used(session: Session) -> None:
             made = session.execute(select(CalibrationRow.id, CalibrationRow.request)).all()
@@ -162,6 +163,18 @@ class KeptSent(Kept):
 
         self._delete(_unless_used)
         self._forget(self.path(RunsRow, runs_id))
+
+
+def there(row: Any) -> Any:
+    """Return the row of something that was sent. Raises NotFoundError if a repair put its files away."""
+    if row.gone is not None:
+        raise NotFoundError(
+            f"the files of {row.id} were damaged ({row.gone}), and a repair put them away: send it again. What was "
+            "made from it stays",
+            id=row.id,
+            gone=row.gone,
+        )
+    return row
 
 
 def safe_name(name: str) -> str:

@@ -104,7 +104,19 @@ class KeyRow(Base):
     requests_per_s: Mapped[float | None]
 
 
-class HeightmapRow(Kept, Base):
+class Sent(Kept):
+    """What was sent, and cannot be made again.
+
+    Attributes
+    ----------
+    gone : str or None
+        What was wrong with its files when a repair put them away; None while they are there.
+    """
+
+    gone: Mapped[str | None] = mapped_column(Text)
+
+
+class HeightmapRow(Sent, Base):
     """A heightmap that was sent; its heights are in heightmaps/{id}.tif, `stats` is what a listing says about it."""
 
     __tablename__, place = "heightmaps", "heightmaps/{}.tif"
@@ -115,7 +127,7 @@ class HeightmapRow(Kept, Base):
     stats: Mapped[dict[str, Any]] = mapped_column(JSON)
 
 
-class RunsRow(Kept, Base):
+class RunsRow(Sent, Base):
     """Measured runs that were sent together; their files are in runs/{id}/, `stats` is what was read of each."""
 
     __tablename__, place = "runs", "runs/{}"

@@ -40,7 +40,7 @@ from joulemap.service.storage.tables import (
     HeightmapRow,
     RunsRow,
 )
-from tests.service.conftest import settings_for
+from tests.service.conftest import GOAL, START, settings_for
 from tests.service.test_calibrations import run_csv
 from tests.service.workers import fingerprint, postgres, postgres_programs
 
@@ -176,16 +176,16 @@ def make(*parts: str) -> Callable[[dict[str, Any]], None]:
 
 DAMAGES: dict[str, tuple[str, bool, Callable[[dict[str, Any]], object]]] = {
     # what is done to the directory: kind of the finding, whether it can be repaired, the damage
-    "heightmap lost": ("missing", False, lambda kept: tif(kept).unlink()),
-    "heightmap cut": ("damaged", False, lambda kept: cut(tif(kept))),
+    "heightmap lost": ("missing", True, lambda kept: tif(kept).unlink()),
+    "heightmap cut": ("damaged", True, lambda kept: cut(tif(kept))),
     "cost map lost": ("missing", True, lambda kept: shutil.rmtree(chunk_of(kept).parents[4])),
     "chunk lost": ("damaged", True, lambda kept: chunk_of(kept).unlink()),
     "report cut": ("damaged", True, lambda kept: cut(kept["folder"] / "calibrations" / CALIBRATION / "report.json")),
     "calibration lost": ("missing", True, lambda kept: shutil.rmtree(kept["folder"] / "calibrations" / CALIBRATION)),
     "model lost": ("damaged", True, lambda kept: shutil.rmtree(kept["folder"] / "models" / CALIBRATION)),
     "bit of a model": ("damaged", True, lambda kept: flip(kept["folder"] / "models" / CALIBRATION / "network.bin")),
-    "run lost": ("damaged", False, lambda kept: run_of(kept).unlink()),
-    "bit of a run": ("damaged", False, lambda kept: flip(run_of(kept))),
+    "run lost": ("damaged", True, lambda kept: run_of(kept).unlink()),
+    "bit of a run": ("damaged", True, lambda kept: flip(run_of(kept))),
     "bit of a chunk": ("damaged", True, lambda kept: flip(chunk_of(kept))),
     "stats no JSON": ("unreadable", True, sql("update heightmaps set stats = '{\"rows\": '")),
     "stats not finite": (
@@ -270,6 +270,32 @@ def test_a_damaged_cost_map_is_made_again_the_same(copied: dict[str, Any]) -> No
         until_done(client, copied["costmap"])
     assert fingerprint(place) == before
     assert joulemap("check", "--data-dir", copied["folder"])[0] == 0
+
+
+def test_what_was_sent_and_is_damaged_is_put_away_and_said(copied: dict[str, Any]) -> None:
+    """Who asks for it is told what was wrong; what was made from it is answered as before."""
+    wrong = {"heightmaps": copied["heightmap"], "runs": copied["runs"]}
+    flip(tif(copied))
+    flip(run_of(copied))
+    code, found = joulemap("check", "--repair", "--data-dir", copied["folder"])
+    assert (code, {one["what"] for one in found["findings"]}) == (0, set(wrong.values())), found
+    with sqlite3.connect(copied["folder"] / "joulemap.db") as database:
+        database.execute("delete from keys")
+    with TestClient(create_app(settings_for(copied["folder"]))) as client:
+        for kind, row_id in wrong.items():
+            answer = client.get(f"/v1/{kind}/{row_id}")
+            assert (answer.status_code, "send it again" in answer.json()["detail"]) == (404, True), answer.text
+            (listed,) = client.get(f"/v1/{kind}").json()["items"]
+            assert listed["problem"]["detail"] == answer.json()["detail"]
+            assert json.loads((copied["folder"] / "removed" / f"{row_id}.json").read_text())["gone"]
+            assert any((copied["folder"] / "removed" / kind).iterdir())
+        asked = {"heightmap_id": copied["heightmap"], "model": "physics", "headings": 8}
+        assert client.post("/v1/costmaps", json=asked).status_code == 404
+        place = f"/v1/costmaps/{copied['costmap']}"
+        assert client.post(f"{place}/paths", json={"start": START, "goal": GOAL}).status_code == 200
+        assert client.delete(place).status_code == 204
+        assert client.delete(f"/v1/calibrations/{CALIBRATION}").status_code == 204
+        assert [client.delete(f"/v1/{kind}/{row_id}").status_code for kind, row_id in wrong.items()] == [204, 204]
 
 
 def until_done(client: TestClient, costmap_id: str) -> None:

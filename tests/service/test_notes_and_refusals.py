@@ -49,7 +49,10 @@ WRONG = {
     f"{WAY} --goal-heading-deg 90": (3, "headings are given for a robot with"),
     "path hill.zarr --start 1,1 --goal {goal}": (3, "lies outside the map"),
     "feasibility hill.zarr --path nan.csv": (3, "--path: Input should be a finite number, got nan"),
-    "feasibility hill.zarr --start {start} --goal {goal} --battery bad.toml": (3, "health is 3; it lies between 0 and 1"),
+    "feasibility hill.zarr --start {start} --goal {goal} --battery bad.toml": (
+        3,
+        "health is 3; it lies between 0 and 1",
+    ),
 }
 
 
