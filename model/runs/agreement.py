@@ -174,6 +174,13 @@ def speed_of(t: FloatArray, numbers: Mapping[str, FloatArray]) -> FloatArray | N
     return np.interp(t, at, np.hypot(np.gradient(x, at), np.gradient(y, at)))
 
 
+def counted_m(total: FloatArray) -> float | None:
+    """Return what a counter counted in all, (n,); None where its steps are too coarse to tell units of speed apart."""
+    steps, whole = np.diff(total[np.isfinite(total)]), float(np.nanmax(total, initial=0.0))
+    coarse = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    return whole if coarse <= _ALIKE * whole else None
+
+
 def _plane(numbers: Mapping[str, FloatArray], t: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Known positions in metres, and their stamps."""
     if {"x", "y"} <= numbers.keys():

@@ -11,6 +11,7 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from unicodedata import combining, normalize
 
 from joulemap.model.runs.units import known_unit, unit_in_name
 
@@ -22,21 +23,32 @@ def _set(words: str) -> frozenset[str]:
 _WORDS: dict[str, frozenset[str]] = {
     "t": _set(
         "t ts time times timestamp timestamps datetime date stamp clock elapsed seconds secs sec ms millis "
-        "milliseconds us micros microseconds ns nanoseconds uptime epoch unix utc interval"
+        "milliseconds us micros microseconds ns nanoseconds uptime epoch unix utc interval zeit zeitstempel "
+        "uhrzeit tiempo tempo tijd horodatage"
     ),
     "x": _set("x easting utmx east"),
     "y": _set("y northing utmy north"),
-    "z": _set("z altitude alt elevation elev elv ele height"),
-    "lat": _set("lat latitude"),
-    "lon": _set("lon lng long longitude longtitude"),
-    "voltage": _set("voltage voltages volts volt u v vbat vbatt vin vbus"),
-    "current": _set("current curr cur amps amp amperes amperage a i ibat ibatt iin ibus"),
-    "power": _set("power watts watt pwr w p pbat"),
-    "energy": _set("energy enrg consumed used consumption drawn discharged wh kwh joules"),
+    "z": _set("z altitude alt elevation elev elv ele height hohe hoehe altitud altezza hoogte"),
+    "lat": _set("lat latitude breite breitengrad latitud latitudine breedtegraad"),
+    "lon": _set("lon lng long longitude longtitude lange langengrad laengengrad longitud longitudine lengtegraad"),
+    "voltage": _set(
+        "voltage voltages volts volt u v vbat vbatt vin vbus ubat ubatt spannung tension voltaje tensione "
+        "tensao spanning"
+    ),
+    "current": _set(
+        "current curr cur amps amp amperes amperage a i ibat ibatt iin ibus strom courant corriente corrente stroom"
+    ),
+    "power": _set("power watts watt pwr w p pbat leistung puissance potencia potenza vermogen"),
+    "energy": _set("energy enrg consumed used consumption drawn discharged wh kwh joules energie energia verbrauch"),
     "charge": _set("charge consumed used consumption drawn discharged ah mah coulombs"),
-    "soc": _set("soc percent percentage level charge remaining"),
-    "distance": _set("distance dist odometer odo mileage trip travelled"),
-    "speed": _set("speed velocity vel spd"),
+    "soc": _set("soc percent percentage level charge remaining ladezustand"),
+    "distance": _set(
+        "distance dist odometer odo mileage trip travelled mile strecke entfernung kilometerstand distanz "
+        "distancia distanza afstand"
+    ),
+    "speed": _set(
+        "speed velocity vel spd kmph kmh kph mph mps geschwindigkeit vitesse velocidad velocita velocidade snelheid"
+    ),
     "heading": _set("heading yaw course bearing cog hdg"),
 }
 """By joulemap's column, the words that name it."""
@@ -54,14 +66,15 @@ _ABOUT = _set(
     "tot sum setup overall all input in bus dc hv supply system sys sensor measured actual value data inverter "
     "vehicle car robot base mcu esc vesc of the and today abs log logged header since start device obd traction "
     "ground location loc geo coordinates point track enhanced is true field msg message data hybrid bms filtered body "
-    "tform transform discharge"
+    "tform transform discharge ev batterie bateria akku accu gesamt fahrzeug vehicule"
 )
 """Words that do not change what a column is."""
 
 _NEVER = _set(
     "min max minimum maximum target set setpoint ref reference limit cmd command commanded desired request "
     "requested wanted tx transmitter remote goal home origin waypoint wp dest destination std cov covariance variance "
-    "accuracy raw delta avg average mean peak predicted estimate remaining to empty full per rated nominal"
+    "soll sollwert consigne consigna accuracy raw delta avg average mean peak predicted estimate remaining to "
+    "empty full per rated nominal"
 )
 _ELECTRIC = _set(
     "motor phase cell cells heater heating heat ac aircon air conditioning aux auxiliary 12 12v lv charger "
@@ -160,9 +173,9 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
     never = _NOT.get(target, _NEVER) - (_WHEEL if said or in_name else frozenset())  # in rpm a wheel's is none
     if any(word in never for word in words):
         return None
-    if target in ("energy", "charge"):
+    if target in ("energy", "charge", "speed"):
         in_name = in_name or next((u for word in words if (u := known_unit(target, word))), None)  # watt_hours_used
-        if not (in_name or said):
+        if not (in_name or said) and target != "speed":
             return None
     if target == "soc" and not (in_name == "%" or said or {"soc", "percent", "percentage", "level"} & {*words}):
         return None
@@ -228,7 +241,8 @@ def is_unit(word: str) -> bool:
 def words_of(name: str) -> list[str]:
     """Return the words of a name, in lower case."""
     found: list[str] = []
-    for part in re.findall(r"[^\W_]+", name):
+    plain = "".join(letter for letter in normalize("NFKD", name) if not combining(letter))  # Höhe, velocità
+    for part in re.findall(r"[^\W_]+", plain):
         pieces = [piece.lower() for piece in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\dA-Za-z]+", part)]
         if part.lower() in _VOCABULARY and not all(piece in _VOCABULARY for piece in pieces):
             found.append(part.lower())  # SoC; but curR is the right one

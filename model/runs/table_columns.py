@@ -95,7 +95,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
     without_standing_positions(numbers, stream, chosen, found)
     path_m = agreement.path_of(numbers)
     if path_m is None and "distance" in numbers:
-        path_m = float(np.nanmax(total_of(numbers["distance"]), initial=0.0))
+        path_m = agreement.counted_m(total_of(numbers["distance"]))
     if "t" in chosen:
         known_m = path_m if "distance" not in chosen or chosen["distance"].unit else agreement.path_of(numbers)
         numbers["t"], words["t"] = time_of(chosen["t"], stream, known_m, name, found)

@@ -85,7 +85,7 @@ _SPELLINGS = {
         "J": "joule joules",
         "%": "percent pct",
         "m/s": "mps m_s m/sec meters/second m.s-1",
-        "km/h": "kmh kph km_h km/hr",
+        "km/h": "kmh kmph kph km_h km/hr",
         "mph": "mi/h miles/hour",
         "kn": "knots",
         "degC": "c °c",

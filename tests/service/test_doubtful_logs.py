@@ -109,8 +109,8 @@ def test_numbers_in_arrays_of_objects_are_read_or_named(tmp_path):
 
 
 def test_runs_are_no_baseline_of_themselves(tmp_path, client):
-    rover = jm.Robot(mass_kg=60.0)
-    files = [written(tmp_path, PLACE | {"power": LEVEL + k}, f"{k}.csv") for k in range(2)]
+    rover = jm.Robot(mass_kg=60.0, speed_mps=8.0)
+    files = [written(tmp_path, {"t": T, "distance": S, "power": LEVEL + k}, f"{k}.csv") for k in range(2)]
     (tmp_path / "copy.csv").write_text((tmp_path / "0.csv").read_text())
     for baseline in (files[:1], [str(tmp_path / "copy.csv")]):
         with pytest.raises(InputError, match="is a run to learn from and a baseline run"):
@@ -142,3 +142,11 @@ def test_a_column_of_what_came_since_the_row_before_is_hinted_at():
     assert run.energy()[0] == pytest.approx(LEVEL.sum(), rel=0.01)
     with pytest.raises(RunsError, match="each with /row where a row says what came since"):
         jm.read_runs(each, mapping={"energy": "energy_wh:m"})
+
+
+def test_a_coarse_counter_does_not_choose_between_units_of_speed():
+    t = np.arange(0.0, 4.0, 0.2)
+    columns = {"t": t, "speed": np.full(t.size, 4.0), "distance": np.floor(4.0 / 3.6 * t + 1.5), "power": 50.0 + t}
+    run = jm.read_runs(columns).runs[0]
+    assert "speed" not in run.reading
+    assert run.y[-1] - run.y[0] == 4.0

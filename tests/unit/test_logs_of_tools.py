@@ -102,6 +102,17 @@ SHAPES = {
     "tabs and decimal commas": table(
         "Zeit [s]\tLatitude\tLongitude\tSpannung [V]\tStrom [A]", lambda k: row(k, separator="\t").replace(".", ",")
     ),
+    "names in German, without units": table(
+        "Zeit;Breitengrad;Längengrad;Batteriespannung;Gesamtstrom;Soll-Strom",
+        lambda k: row(k, separator=";") + ";7",
+    ),
+    "names in Spanish, without units": table("tiempo,latitud,longitud,voltaje,corriente"),
+    "names in Italian and Dutch": table(
+        "tempo;latitudine;lengtegraad;tensione;stroom", lambda k: row(k, separator=";")
+    ),
+    "letters of quantities before the part": table(
+        "time,lat,lon,Ubat_ev,I_bat_ev,kmph_meas", lambda k: f"{row(k)},{3.6 * V[k]}"
+    ),
     "Car Scanner: rows by PID": by_name(
         '"SECONDS";"PID";"VALUE";"UNITS";"LATITUDE";"LONGTITUDE";',
         lambda k, n, v: f'"{51_605 + T[k]:.2f}";"[BMS] HV {FULL[n]}";"{v:.7f}";"{UNIT[n]}";"{LAT[k]:.7f}";'
