@@ -115,8 +115,7 @@ def source_of(target: str, text: str, columns: Collection[str], name: str) -> So
         raise _no_column(target, wanted, columns, name)
     unit = known_unit(target, word.strip())
     if unit is None:
-        units = UNITS.get(quantity_of(target) or "", {})
-        known = ", ".join(units) or "none"
+        known = ", ".join(UNITS.get(quantity_of(target) or "", {})) or "none"
         if target in COUNTED:
             known += f", each with {PER_ROW} where a row says what came since the row before"
         raise RunsError(

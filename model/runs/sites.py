@@ -94,17 +94,15 @@ def files_of(sites: Sequence[Site]) -> list[Path]:
     twice = next((file for k, file in enumerate(files) if places[k] in places[:k]), None)
     if twice is not None:
         raise InputError(f"the run {twice} is given twice: a run belongs to one map", run=str(twice))
-    for site in sites:
-        copies = same_content([*site.files, *(each for each in site.baseline_files if each not in site.files)])
-        both = next(
-            (each for each in site.baseline_files if each in site.files or copies.get(each) in site.files), None
+    baseline = [file for site in sites for file in site.baseline_files]
+    copies = same_content([*files, *(file for file in baseline if file not in files)])
+    both = next((file for file in baseline if file.resolve() in places or copies.get(file) in files), None)
+    if both is not None:
+        raise InputError(
+            f"{both.name} is a run to learn from and a baseline run: nothing is new in a run beside itself. Name "
+            "earlier runs as baseline",
+            run=str(both),
         )
-        if both is not None:
-            raise InputError(
-                f"{both.name} is a run to learn from and a baseline run: nothing is new in a run beside itself. "
-                "Name earlier runs as baseline",
-                run=str(both),
-            )
     return files
 
 
