@@ -193,9 +193,8 @@ class Check:
             elif table in (CostmapRow, CalibrationRow):
                 remedy, repair = "make it again", lambda: self._ask_again(table, row.id)
             else:
-                words = wrong
                 remedy = f"move what is there to {REMOVED}/, and answer that it is to be sent again"
-                repair = lambda: self._quarantine(table, row.id, place, words)  # noqa: E731
+                repair = partial(self._quarantine, table, row.id, place, wrong)
             yield Finding("damaged" if place.exists() else "missing", row.id, wrong, remedy, repair)
 
     def _without_sums(self, table: Any, row_id: str, place: Path, error: DamagedError) -> Finding:
