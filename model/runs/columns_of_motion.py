@@ -137,7 +137,7 @@ def without_frozen_positions(numbers: dict[str, FloatArray], found: Recognised) 
     if pair is None or (speed is None and counted is None):
         return
     t = numbers["t"]
-    driven = total_of(counted) if counted is not None else summed(t, speed)
+    driven = total_of(counted) if counted is not None else summed(t, numbers["speed"])
     known = np.flatnonzero(np.isfinite(driven) & np.isfinite(t) & np.isfinite(numbers[pair[0]] + numbers[pair[1]]))
     if known.size < LEAST_ROWS:
         return
