@@ -30,17 +30,17 @@ from joulemap.service.schemas.planning import FeasibilityOut, PathOut, TourOut
 
 Point = PlaceLike
 Progress = Callable[[float], object]
-_ANSWERS: Mapping[str, tuple[str, type[BaseModel]]] = {
-    "path": ("paths", PathOut),
-    "tour": ("tours", TourOut),
-    "matrix": ("matrix", MatrixOut),
-    "reach": ("reach", ReachOut),
-    "feasibility": ("feasibility", FeasibilityOut),
-    "speeds": ("speeds", SpeedsOut),
-    "homeward": ("return", ReturnOut),
-    "charging": ("charging", ChargingOut),
+_ANSWERS: Mapping[str, tuple[str, type[BaseModel], type[OnMap]]] = {
+    "path": ("paths", PathOut, PathRequest),
+    "tour": ("tours", TourOut, TourRequest),
+    "matrix": ("matrix", MatrixOut, MatrixRequest),
+    "reach": ("reach", ReachOut, ReachRequest),
+    "feasibility": ("feasibility", FeasibilityOut, FeasibilityRequest),
+    "speeds": ("speeds", SpeedsOut, SpeedsRequest),
+    "homeward": ("return", ReturnOut, ReturnRequest),
+    "charging": ("charging", ChargingOut, ChargingRequest),
 }
-"""Where a question is asked, and what is answered, by its module in `service.questions`."""
+"""Where a question is asked, what is answered and what is sent, by its module in `service.questions`."""
 
 
 def _given(**query: str | None) -> dict[str, str]:
@@ -173,35 +173,6 @@ class ServedCostMap:
         """
         return self.file("path", wanted, format=format, coordinates=coordinates, origin=origin)
 
-    @asks(TourRequest)
-    def tour_file(
-        self, wanted: TourRequest, *, format: str, coordinates: str | None = None, origin: str | None = None
-    ) -> bytes:
-        """Find the same tour as `tour`, as a file for another program.
-
-        Parameters
-        ----------
-        wanted : TourRequest
-            Its fields are parameters of this method.
-        format : str
-            As in `plan_file`.
-        coordinates : str, optional
-            Of GeoJSON, "wgs84" or "map".
-        origin : str, optional
-            Of formats for ROS: "x,y" [m] or "start", which gets the coordinates 0,0.
-
-        Returns
-        -------
-        bytes
-            The file.
-
-        Raises
-        ------
-        InputError
-            If the map has no CRS and the format needs degrees.
-        """
-        return self.file("tour", wanted, format=format, coordinates=coordinates, origin=origin)
-
     def _body(self, wanted: OnMap) -> dict[str, Any]:
         """What is sent of a question: what was given."""
         given = {name: getattr(wanted, name) for name in wanted.model_fields_set}
@@ -231,7 +202,7 @@ class ServedCostMap:
         BusyError
             If the connection ends before the answer comes.
         """
-        place, answer = _ANSWERS[question]
+        place, answer, _ = _ANSWERS[question]
         if progress is None or answer is not PathOut:
             return self._connection.ask(answer, "POST", f"{self._place}/{place}", json=self._body(wanted))
         for name, document in self._connection.events(f"{self._place}/{place}", self._body(wanted)):
@@ -241,7 +212,14 @@ class ServedCostMap:
         raise BusyError("the connection ended before the answer came", url=self._connection.url)
 
     def file(
-        self, question: str, wanted: OnMap, *, format: str, coordinates: str | None = None, origin: str | None = None
+        self,
+        question: str,
+        wanted: OnMap | None = None,
+        *,
+        format: str,
+        coordinates: str | None = None,
+        origin: str | None = None,
+        **fields: Any,
     ) -> bytes:
         """Return the routes that answer a question, as a file for another program.
 
@@ -249,7 +227,7 @@ class ServedCostMap:
         ----------
         question : str
             "path", "tour", "feasibility" or "speeds".
-        wanted : OnMap
+        wanted : OnMap, optional
             Its request.
         format : str
             As in `plan_file`.
@@ -257,14 +235,17 @@ class ServedCostMap:
             Of GeoJSON, "wgs84" or "map".
         origin : str, optional
             Of formats for ROS, as in `plan_file`.
+        **fields
+            In place of `wanted`: the fields of the request, like `stops` of a tour.
 
         Returns
         -------
         bytes
             The file.
         """
-        place = _ANSWERS[question][0]
-        return self._file(place, wanted, format=format, coordinates=coordinates, origin=origin).content
+        place, _, request = _ANSWERS[question]
+        asked = request.of(**fields) if wanted is None else wanted
+        return self._file(place, asked, format=format, coordinates=coordinates, origin=origin).content
 
     def _file(self, question: str, wanted: OnMap, **query: str | None) -> httpx.Response:
         params = _given(**query)
@@ -415,44 +396,6 @@ class ServedCostMap:
             If the model does not know what speed costs.
         """
         return self.ask("speeds", SpeedsRequest.of(**wanted, path=points))
-
-    @asks(SpeedsRequest, "path", complete=False)
-    def speeds_file(
-        self,
-        wanted: dict[str, Any],
-        points: Sequence[Point] | None = None,
-        *,
-        format: str,
-        coordinates: str | None = None,
-        origin: str | None = None,
-    ) -> bytes:
-        """Return the route that `speeds` is asked for as a file: missions have the cheapest speeds.
-
-        Parameters
-        ----------
-        wanted : SpeedsRequest
-            Its fields are parameters of this method.
-        points : sequence of points, optional
-            World x, y [m], in order, in place of start and goal.
-        format : str
-            As in `plan_file`.
-        coordinates : str, optional
-            Of GeoJSON, "wgs84" or "map".
-        origin : str, optional
-            Of formats for ROS, as in `plan_file`.
-
-        Returns
-        -------
-        bytes
-            The file.
-
-        Raises
-        ------
-        InputError
-            If the model does not know what speed costs, or the map has no CRS and the format needs degrees.
-        """
-        asked = SpeedsRequest.of(**wanted, path=points)
-        return self.file("speeds", asked, format=format, coordinates=coordinates, origin=origin)
 
     @asks(ReturnRequest)
     def homeward(self, wanted: ReturnRequest) -> ReturnOut:

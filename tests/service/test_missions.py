@@ -150,7 +150,7 @@ def test_every_format_over_http_and_by_the_client(client: TestClient, costmap_id
 def test_a_tour_as_a_mission(served: ServedCostMap) -> None:
     pytest.importorskip("ortools")
     stops = [START, GOAL, [START[0] + 10.0, START[1] - 8.0]]
-    plan = json.loads(served.tour_file([stops[0], latlon(stops[1]), stops[2]], format="qgc-plan"))
+    plan = json.loads(served.file("tour", stops=[stops[0], latlon(stops[1]), stops[2]], format="qgc-plan"))
     assert plan["mission"]["items"][1]["params"][4:6] == pytest.approx(plan["mission"]["items"][-1]["params"][4:6])
 
 
