@@ -48,7 +48,7 @@ def _given(**query: str | None) -> dict[str, str]:
 
 
 class ServedCostMap:
-    """A cost map of a service, asked as a `CostMap` of the library is.
+    """A cost map of a service, asked as a `CostMap` of the library is, and with its errors.
 
     Parameters
     ----------
@@ -98,22 +98,10 @@ class ServedCostMap:
     def plan(self, wanted: PathRequest, *, progress: Progress | None = None) -> PathOut:
         """Find the route of least energy, and the shortest one beside it.
 
-        Parameters
-        ----------
-        wanted : PathRequest
-            Its fields are parameters of this method.
-        progress : callable, optional
-            Called with the share done, 0..1.
-
         Returns
         -------
         PathOut
             Energies in J.
-
-        Raises
-        ------
-        PointError, BlockedError, NoRouteError
-            As `CostMap.plan`.
         """
         return self.ask("path", wanted, progress=progress)
 
@@ -123,8 +111,6 @@ class ServedCostMap:
 
         Parameters
         ----------
-        wanted : PathRequest
-            Its fields are parameters of this method.
         coordinates : str, optional
             "wgs84" (longitude, latitude [degrees]) or "map" (x, y [m] in the CRS of the map).
 
@@ -152,8 +138,6 @@ class ServedCostMap:
 
         Parameters
         ----------
-        wanted : PathRequest
-            Its fields are parameters of this method.
         format : str
             "gpx", "qgc-plan", ...: a name of `joulemap.service.exports.routes.ROUTE_FORMATS`.
         coordinates : str, optional
@@ -255,20 +239,10 @@ class ServedCostMap:
     def tour(self, wanted: TourRequest) -> TourOut:
         """Find the round trip of least energy over several stops, home first.
 
-        Parameters
-        ----------
-        wanted : TourRequest
-            Its fields are parameters of this method.
-
         Returns
         -------
         TourOut
             With its legs.
-
-        Raises
-        ------
-        PointError, BlockedError, NoRouteError
-            As `CostMap.tour`.
         """
         return self.ask("tour", wanted)
 
@@ -276,20 +250,10 @@ class ServedCostMap:
     def matrix(self, wanted: MatrixRequest) -> MatrixOut:
         """Say what it takes to drive from each start to each goal, by one search for each start or goal.
 
-        Parameters
-        ----------
-        wanted : MatrixRequest
-            Its fields are parameters of this method.
-
         Returns
         -------
         MatrixOut
             A row for each start; None where there is no way, with the reason.
-
-        Raises
-        ------
-        PointError
-            If a place lies outside the map.
         """
         return self.ask("matrix", wanted)
 
@@ -297,20 +261,10 @@ class ServedCostMap:
     def charging(self, wanted: ChargingRequest) -> ChargingOut:
         """Find the cheapest way that never falls below the reserve, charging where it may.
 
-        Parameters
-        ----------
-        wanted : ChargingRequest
-            Its fields are parameters of this method.
-
         Returns
         -------
         ChargingOut
             Its legs with what is charged before each; without legs, why there is no such way.
-
-        Raises
-        ------
-        PointError
-            If a place lies outside the map.
         """
         return self.ask("charging", wanted)
 
@@ -318,20 +272,10 @@ class ServedCostMap:
     def reach(self, wanted: ReachRequest) -> ReachOut:
         """Say where the battery lasts to from a place, or where it lasts to and back.
 
-        Parameters
-        ----------
-        wanted : ReachRequest
-            Its fields are parameters of this method.
-
         Returns
         -------
         ReachOut
             Outlines and areas, one for each charge.
-
-        Raises
-        ------
-        PointError, BlockedError
-            As `CostMap.reach`.
         """
         return self.ask("reach", wanted)
 
@@ -349,8 +293,6 @@ class ServedCostMap:
 
         Parameters
         ----------
-        wanted : FeasibilityRequest
-            Its fields are parameters of this method.
         route : PathOut, TourOut or sequence of points, optional
             What is driven; points are world x, y [m]. The way back of a planned route is the best one.
         charge, reserve, capacity_wh : float, optional
@@ -380,8 +322,6 @@ class ServedCostMap:
 
         Parameters
         ----------
-        wanted : SpeedsRequest
-            Its fields are parameters of this method.
         points : sequence of points, optional
             World x, y [m], in order, in place of start and goal.
 
@@ -401,20 +341,10 @@ class ServedCostMap:
     def homeward(self, wanted: ReturnRequest) -> ReturnOut:
         """Say until where a robot may follow the rest of its path and still come home: the point of no return.
 
-        Parameters
-        ----------
-        wanted : ReturnRequest
-            Its fields are parameters of this method.
-
         Returns
         -------
         ReturnOut
             In words and numbers.
-
-        Raises
-        ------
-        PointError, BlockedError
-            As `CostMap.homeward`.
         """
         return self.ask("homeward", wanted)
 

@@ -133,12 +133,6 @@ class Client:
         ----------
         ground : str, Path, bytes, Heightmap or HeightmapOut
             A heightmap, which is sent; or the id or description of one that was sent.
-        robot : Robot, mapping, str, Path or None, optional
-            The robot, its values, or its TOML file.
-        wanted : CostmapOptions
-            Its fields are parameters of this method.
-        progress : callable, optional
-            Called with the share done, 0..1.
         timeout_s : float, optional
             Longest time to wait [s]; the job goes on after it.
 

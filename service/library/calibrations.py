@@ -130,26 +130,16 @@ def calibrate(
     ground : Heightmap, str or Path, optional
         The heightmap that the runs were driven on. Not with `sites` or `campaign`. Runs with a speed or a distance and
         no positions need none.
-    runs : Runs, str, Path or sequence of these, optional
-        The runs, or their files.
     out : str or Path
         Folder for `report.json`, `report.html` and the calibrated model.
     sites : sequence of tuple, optional
         Several heightmaps and the runs on each: pairs (heightmap, runs). All are calibrated together.
-    campaign : str or Path, optional
-        A TOML file with a table [[site]] for every map.
-    robot : Robot, mapping, str, Path or None, optional
-        The robot that drove.
     baseline_runs : Runs, str, Path or sequence of these, optional
         Runs beside `runs` in which nothing new is at work. By default those that the model was trained on. A campaign
         file names them with the key `baseline` of a site.
     test_runs : Runs, str, Path or sequence of these, optional
         Runs that have no part in the fit; the report has the error on them before and after. Of several sites, they are
         among the runs of one.
-    wanted : LocalCalibration
-        Its fields are parameters of this function.
-    progress : callable, optional
-        Called with the share done, 0..1.
 
     Returns
     -------

@@ -34,8 +34,6 @@ class AreaQuestions(CostMapBase):
 
         Parameters
         ----------
-        wanted : ReachRequest
-            Its fields are parameters of this method.
         charge : float or sequence of float, optional
             State of charge at the start, 0..1, by default that of the battery; several are answered one by one.
         reserve, capacity_wh : float, optional
@@ -63,11 +61,6 @@ class AreaQuestions(CostMapBase):
     def homeward(self, wanted: ReturnRequest) -> Homeward:
         """Say until where a robot may follow the rest of its path and still come home: the point of no return.
 
-        Parameters
-        ----------
-        wanted : ReturnRequest
-            Its fields are parameters of this method.
-
         Returns
         -------
         Homeward
@@ -87,11 +80,6 @@ class AreaQuestions(CostMapBase):
     @asks(FieldRequest, "within_percent")
     def field(self, wanted: FieldRequest) -> EnergyMap:
         """Give the least energy from a start to every cell, from every cell to a goal, or over every cell between both.
-
-        Parameters
-        ----------
-        wanted : FieldRequest
-            Its fields are parameters of this method.
 
         Returns
         -------

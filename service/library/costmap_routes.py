@@ -41,13 +41,6 @@ class RouteQuestions(CostMapBase):
     def plan(self, wanted: PathRequest, *, progress: Callable[[float], None] | None = None) -> PlannedRoute:
         """Find the route of least energy, and the shortest one beside it.
 
-        Parameters
-        ----------
-        wanted : PathRequest
-            Its fields are parameters of this method.
-        progress : callable, optional
-            Called with the share done, 0..1.
-
         Returns
         -------
         PlannedRoute
@@ -71,13 +64,6 @@ class RouteQuestions(CostMapBase):
     def tour(self, wanted: TourRequest, *, progress: Callable[[float], None] | None = None) -> PlannedTour:
         """Visit all stops and come home to the first one, in the order that takes least energy.
 
-        Parameters
-        ----------
-        wanted : TourRequest
-            Its fields are parameters of this method.
-        progress : callable, optional
-            Called with the share done, 0..1.
-
         Returns
         -------
         PlannedTour
@@ -95,13 +81,6 @@ class RouteQuestions(CostMapBase):
     def matrix(self, wanted: MatrixRequest, *, progress: Callable[[float], None] | None = None) -> EnergyMatrix:
         """Say what it takes to drive from each start to each goal, by one search for each start or goal.
 
-        Parameters
-        ----------
-        wanted : MatrixRequest
-            Its fields are parameters of this method.
-        progress : callable, optional
-            Called with the share done, 0..1.
-
         Returns
         -------
         EnergyMatrix
@@ -117,13 +96,6 @@ class RouteQuestions(CostMapBase):
     @asks(ChargingRequest)
     def charging(self, wanted: ChargingRequest, *, progress: Callable[[float], None] | None = None) -> ChargedWay:
         """Find the cheapest way that never falls below the reserve, charging where it may.
-
-        Parameters
-        ----------
-        wanted : ChargingRequest
-            Its fields are parameters of this method.
-        progress : callable, optional
-            Called with the share done, 0..1.
 
         Returns
         -------

@@ -49,15 +49,9 @@ def costmap(
     ----------
     ground : Heightmap, str or Path
         The heightmap, or its file.
-    robot : Robot, mapping, str, Path or None, optional
-        The robot, its fields, its TOML file, or None for the built-in 35 kg rover.
     model : str, Path or Model, optional
         "default" (the shipped network), "physics", the folder of a trained or calibrated model, or what `train` and
         `calibrate` return.
-    wanted : CostmapCells
-        Its fields are parameters of this function.
-    progress : callable, optional
-        Called with the share done, 0..1.
 
     Returns
     -------

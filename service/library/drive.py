@@ -89,11 +89,6 @@ class Drive:
 
         Samples may come in any order within five seconds; an older one, and one that was there already, is not used.
 
-        Parameters
-        ----------
-        wanted : SampleIn
-            Its fields are parameters of this method.
-
         Raises
         ------
         InputError

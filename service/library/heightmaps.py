@@ -47,8 +47,6 @@ def read_heightmap(
         The file, or all its bytes.
     filename : str, optional
         The name of `source` where it is bytes.
-    wanted : ReadingOptions
-        Its fields are parameters of this function.
     max_cells : int, optional
         Largest number of cells.
 
@@ -156,8 +154,6 @@ def heightmap_from_runs(runs: RunsLike, *, wanted: dict[str, Any]) -> Heightmap:
     ----------
     runs : Runs, str, Path or sequence of these
         Runs in one frame, with the column `z`. Make one heightmap for each run where each has a frame of its own.
-    wanted : SurfaceOptions
-        Its fields are parameters of this function.
 
     Returns
     -------

@@ -103,23 +103,13 @@ def train(
     ground : Heightmap, str or Path, optional
         The heightmap that the runs were driven on. Not with `sites` or `campaign`. Runs with a speed or a distance and
         no positions need none: rolling and climbing are learned, and not the shape of the ground.
-    runs : Runs, str, Path or sequence of these, optional
-        The runs, or their files.
     out : str or Path
         Folder for the model.
     sites : sequence of tuple, optional
         Several heightmaps and the runs on each, like [("a.tif", "a/*.csv"), ("b.tif", "b.csv", "other.toml")]: the
         third item is the robot, where another one drove.
-    campaign : str or Path, optional
-        A campaign file, which lists such sites.
-    robot : Robot, mapping, str, Path or None, optional
-        The robot that drove.
-    wanted : TrainingOptions
-        Its fields are parameters of this function.
     overwrite : bool, optional
         Whether a model that is there already is replaced.
-    progress : callable, optional
-        Called with the share done, 0..1.
 
     Returns
     -------
@@ -227,18 +217,10 @@ def evaluate(
     ----------
     ground : Heightmap, str or Path, optional
         The heightmap that the runs were driven on. Not with `sites` or `campaign`.
-    runs : Runs, str, Path or sequence of these, optional
-        The runs, or their files.
     sites : sequence of tuple, optional
         Several heightmaps and the runs on each, as in `train`.
-    campaign : str or Path, optional
-        A campaign file, as in `train`.
     model : str, Path or Model, optional
         "default", "physics", a model's folder, or what `train` and `calibrate` return.
-    robot : Robot, mapping, str, Path or None, optional
-        The robot that drove.
-    wanted : EvaluationOptions
-        Its fields are parameters of this function.
 
     Returns
     -------

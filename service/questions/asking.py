@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from typing import Any, TypeVar
 
@@ -19,7 +19,15 @@ from joulemap.service.words import capital
 Answer = TypeVar("Answer")
 _TYPES = {"integer": "int", "number": "float", "string": "str", "boolean": "bool", "object": "Mapping[str, Any]"}
 _FORMATS = {"path": "str | Path", "model": "ModelLike"}
-_WANTED = re.compile(r"^wanted : .*\n(?:    .*\n)+", re.M)
+_PARAMETERS = "Parameters\n----------\n"
+SHARED = {
+    "progress": "progress : callable, optional\n    Called with the share done, 0..1.",
+    "robot": "robot : Robot, mapping, str, Path or None, optional\n"
+    "    The robot, its fields, its TOML file, or None for the built-in 35 kg rover.",
+    "runs": "runs : Runs, str, Path or sequence of these, optional\n    The runs, or their files.",
+    "campaign": "campaign : str or Path, optional\n    A TOML file with a table [[site]] for every map.",
+}
+"""Parameters that are the same everywhere, as numpydoc has them; no docstring of an asking method repeats them."""
 
 
 def asks(
@@ -67,8 +75,9 @@ def asks(
             return method(**bound, wanted=make(values) if complete else values)
 
         _method.__signature__ = signature  # type: ignore[attr-defined]
-        entries = "".join(_described(name, field, needed=name in needed) for name, field in fields.items())
-        _method.__doc__ = _WANTED.sub(lambda _: entries, inspect.getdoc(method) or "")
+        entries = "\n".join(_described(name, field, needed=name in needed) for name, field in fields.items())
+        text, names = inspect.getdoc(method) or "", [one.name for one in own]
+        _method.__doc__ = _with_entries(text, names, SHARED | {"wanted": entries})
         return _method
 
     return _asking
@@ -77,7 +86,20 @@ def asks(
 def _described(name: str, field: Field, *, needed: bool) -> str:
     """A field in numpydoc's form."""
     text = textwrap.fill(f"{capital(meaning_of(field))}.", 110, initial_indent="    ", subsequent_indent="    ")
-    return f"{name} : {_type_of(field)}{'' if needed else ', optional'}\n{text}\n"
+    return f"{name} : {_type_of(field)}{'' if needed else ', optional'}\n{text}"
+
+
+def _with_entries(text: str, names: Sequence[str], entries: Mapping[str, str]) -> str:
+    """A docstring with the entries of the parameters that it does not describe itself, in their order."""
+    before, found, after = text.partition(_PARAMETERS)
+    if found:
+        described, _, rest = after.partition("\n\n")
+    else:
+        described, at = "", re.search(r"^(Returns|Raises)\n-", text, re.M)
+        before, rest = (text[: at.start()], text[at.start() :]) if at else (f"{text}\n\n", "")
+    own = {re.split(r"\W", one)[0]: one for one in re.split(r"\n(?=\S)", described)}
+    parts = [part for name in names if (part := own.get(name) or entries.get(name))]
+    return f"{before}{_PARAMETERS}{chr(10).join(parts)}\n\n{rest}"
 
 
 def _type_of(field: Field) -> str:
