@@ -14,6 +14,11 @@ SIMULATED = 0.8
 """Efficiency of the gears that the simulated robots of the shipped network have in the mean."""
 
 
+def changes(robot: Robot, known: float) -> bool:
+    """Whether a robot declares another efficiency than the one that a model knows, 0 where that knows none."""
+    return robot.drivetrain_efficiency > 0.0 and known > 0.0 and robot.drivetrain_efficiency != known
+
+
 def geared(traction: NDArray[_Real], robot: Robot, known: float) -> NDArray[_Real]:
     """Return traction with the efficiency that a robot declares in place of that which a model knows.
 
@@ -23,7 +28,7 @@ def geared(traction: NDArray[_Real], robot: Robot, known: float) -> NDArray[_Rea
     traction : of any shape [J/m], changed in place; known : 0 where the model does not know it, 1 where it leaves the
     drivetrain out. Result: `traction`; as it was where the robot or the model says nothing.
     """
-    if robot.drivetrain_efficiency > 0.0 and known > 0.0 and robot.drivetrain_efficiency != known:
+    if changes(robot, known):
         level = traction.dtype.type(robot.weight_n * robot.rolling_resistance)
         ratio = traction.dtype.type(known / robot.drivetrain_efficiency)
         traction -= level

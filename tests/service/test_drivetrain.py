@@ -46,6 +46,15 @@ def test_the_shipped_network_knows_gears_of_80_per_cent():
     assert half[0] - rolling_j == pytest.approx(2.0 * (same[0] - rolling_j), rel=0.01)
 
 
+def test_the_standard_deviation_goes_with_what_a_climb_asks_of_the_battery():
+    same, half = (jm.costmap(plane(), robot={"drivetrain_efficiency": e}).lattice for e in (0.8, 0.4))
+    north = np.s_[15:25, 15:25, 0]
+    assert (half.energy_per_m[north] > 1.3 * same.energy_per_m[north]).all()
+    np.testing.assert_allclose(
+        half.std_j[north] / same.std_j[north], half.energy_per_m[north] / same.energy_per_m[north], rtol=1e-4
+    )
+
+
 def test_a_robot_file_and_a_request_say_it(client: TestClient, tmp_path: Path):
     write_geotiff(tmp_path / "plane.tif", plane())
     (tmp_path / "robot.toml").write_text('name = "r"\ndrivetrain_efficiency = 0.5\n')

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +14,7 @@ from joulemap.model.energy.architectures.compact.head import Headings, answer_ti
 from joulemap.model.energy.architectures.compact.raster import Buffers, read_cells
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, REACH_M, SQUARE, track_features
 from joulemap.model.energy.architectures.compact.weights import CompactWeights, RobotWeights, heading_basis
-from joulemap.model.energy.drivetrain import geared
+from joulemap.model.energy.drivetrain import changes, geared
 from joulemap.model.energy.grade import tan_grade, tan_grade_lattice
 from joulemap.model.energy.learned import Facts, Learned
 from joulemap.model.energy.robot_features import robot_features
@@ -103,8 +104,13 @@ class CompactPredictor(Learned):
         ]
         with threadpool_limits(1, user_api="blas"):  # a tile per thread, nothing shared inside a tile
             share_out(_fill, tiles)
-        geared(traction, robot, self.drivetrain_efficiency)
-        return heightmap.layers.on_kinds(traction, robot, x[None, :, None], y[:, None, None]), std
+        geared_by, kinds = self.drivetrain_efficiency, heightmap.layers
+        if not kinds.kinds and not changes(robot, geared_by):
+            return traction, std
+        std /= self._varying(robot, traction)  # the tiles know the network's own price only
+        traction = kinds.on_kinds(geared(traction, robot, geared_by), robot, x[None, :, None], y[:, None, None])
+        std *= self._varying(robot, traction)
+        return traction, std
 
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
@@ -132,11 +138,15 @@ class CompactPredictor(Learned):
         over_weight = gain * robot.rolling_resistance + climb * tan_grade(heightmap, x, y, heading) + rest
         traction = geared(np.asarray(robot.weight_n * over_weight), robot, self.drivetrain_efficiency)
         traction = heightmap.layers.on_kinds(traction, robot, x, y)
-        price = robot.price_per_m(traction)
-        return traction, segment_std(price, np.exp(spread), self._level_j(robot), factor=self.spread.factor)
+        return traction, self.spread.factor * np.exp(spread) * self._varying(robot, traction)
 
     def _weights(self, heightmap: Heightmap, robot: Robot) -> RobotWeights:
         return self.weights.for_robot(robot_features(robot, heightmap.resolution_m, heightmap.removed_noise_m))
+
+    def _varying(self, robot: Robot, traction: NDArray[Any]) -> NDArray[Any]:
+        """Energy [J] with which the standard deviation of a segment goes, in the shape of `traction` [J/m]."""
+        size = segment_std(robot.price_per_m(traction), 1.0, self._level_j(robot), factor=1.0)
+        return np.maximum(size, np.finfo(np.float32).tiny).astype(traction.dtype)
 
     @staticmethod
     def _level_j(robot: Robot) -> float:
