@@ -24,15 +24,7 @@ Made = TypeVar("Made")
 def distance_lattice(lattice: CostLattice) -> CostLattice:
     """Return the same ground and limits at a price of 1 J/m in every direction: its cheapest path is the shortest.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-
-    Returns
-    -------
-    CostLattice
-        The lattice of distances.
+    `lattice`: prices and limits. Result: the lattice of distances.
     """
     robot = replace(lattice.robot, idle_power_w=1.0, speed_mps=1.0, regeneration=0.0, turn_j_per_rad=0.0)
     known = np.einsum("ijk->ij", lattice.traction_per_m)  # NaN where one heading is

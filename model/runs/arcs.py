@@ -251,17 +251,8 @@ def _gaps(run: Run, fixes: NDArray[np.int64], length_m: float) -> tuple[BoolArra
 def position_noise(x: FloatArray, y: FloatArray, moved: BoolArray) -> float:
     """Return the noise of single fixes, from how three in a row leave a straight line.
 
-    Parameters
-    ----------
-    x, y : ndarray of float, (k,)
-        Fixes [m].
-    moved : ndarray of bool, (k - 1,)
-        Whether each differs from the one before.
-
-    Returns
-    -------
-    float
-        Standard deviation [m].
+    `x`, `y` (k,): fixes [m]; `moved` (k - 1,): whether each differs from the one before. Result: standard deviation
+    [m].
     """
     fresh = np.concatenate([[True], moved])
     if fresh.sum() < 4:

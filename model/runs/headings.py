@@ -56,15 +56,7 @@ class Headings:
     def turn_sd(self, ends: FloatArray) -> FloatArray:
         """Return the standard deviation of turned angles.
 
-        Parameters
-        ----------
-        ends : ndarray of float, (n, 2)
-            Fractional positions of both ends.
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            In radians; errors at both ends covary.
+        `ends` (n, 2): fractional positions of both ends. Result (n,): in radians; errors at both ends covary.
         """
         rows = np.rint(ends).astype(np.int64)
         return np.sqrt(_turn_var(self.smoothed.covariance, self.smoothed.gain, rows[:, 0], rows[:, 1]))
@@ -93,23 +85,9 @@ class Velocity:
 def headings(run: Run, rows: NDArray[np.int64], begins: BoolArray, velocity: Velocity, active: BoolArray) -> Headings:
     """Return where the robot points at every row of its track.
 
-    Parameters
-    ----------
-    run : Run
-        The run.
-    rows : ndarray of int, (m,)
-        Rows of the run on its track.
-    begins : ndarray of bool, (m,)
-        True where a piece begins.
-    velocity : Velocity
-        At these rows.
-    active : ndarray of bool, (m,)
-        Where the robot drives or turns: rest says nothing of the noise of motion.
-
-    Returns
-    -------
-    Headings
-        At these rows.
+    `run`: the run; `rows` (m,): rows of the run on its track; `begins` (m,): true where a piece begins; `velocity`: at
+    these rows; `active` (m,): where the robot drives or turns: rest says nothing of the noise of motion. Result: at
+    these rows.
     """
     t = run.t[rows]
     square = velocity.east**2 + velocity.north**2

@@ -83,15 +83,7 @@ class Sensors:
     def some(self, active: NDArray[np.bool_]) -> Sensors:
         """Return the rows that are active, or blocks of them where they are many.
 
-        Parameters
-        ----------
-        active : ndarray of bool, (n,)
-            Which.
-
-        Returns
-        -------
-        Sensors
-            At these rows; a row after one that is left out begins a piece.
+        `active` (n,): which. Result: at these rows; a row after one that is left out begins a piece.
         """
         rows = np.flatnonzero(active)
         if rows.size > _BLOCKS * _BLOCK_ROWS:
@@ -104,15 +96,8 @@ class Sensors:
     def scaled(self, noise_sd: FloatArray) -> FloatArray:
         """Return the variance of every measurement.
 
-        Parameters
-        ----------
-        noise_sd : ndarray of float, (m,)
-            Standard deviation of each sensor's errors, beside those that are known.
-
-        Returns
-        -------
-        ndarray of float, (m, n)
-            Variances.
+        `noise_sd` (m,): standard deviation of each sensor's errors, beside those that are known. Result (m, n):
+        variances.
         """
         return self.variances + self.weights * (noise_sd**2)[:, None]
 
@@ -120,19 +105,8 @@ class Sensors:
 def smooth(sensors: Sensors, noise_sd: FloatArray, q: float) -> Smoothed:
     """Return the quantity and its rate from all that was measured before and after.
 
-    Parameters
-    ----------
-    sensors : Sensors
-        What is measured.
-    noise_sd : ndarray of float, (m,)
-        Standard deviation of each sensor's errors, beside those that are known.
-    q : float
-        Spectral density of the noise that changes the rate.
-
-    Returns
-    -------
-    Smoothed
-        With the weights of Student's t.
+    `sensors`: what is measured; `noise_sd` (m,): standard deviation of each sensor's errors, beside those that are
+    known; `q`: spectral density of the noise that changes the rate. Result: with the weights of Student's t.
     """
     scale = sensors.scaled(noise_sd)
     variances = scale
@@ -153,21 +127,9 @@ def likeliest(
 ) -> tuple[FloatArray, float]:
     """Return the noise under which the measured values are most likely.
 
-    Parameters
-    ----------
-    sensors : Sensors
-        What is measured.
-    active : ndarray of bool, (n,)
-        Rows in which something moves: rest says nothing of the noise of motion.
-    start, least : ndarray of float, (m,)
-        Standard deviations to begin with, and the least ones: of rounding.
-    q : float
-        Spectral density to begin with.
-
-    Returns
-    -------
-    tuple of (ndarray of float, float)
-        Standard deviation of each sensor, and the spectral density.
+    `sensors`: what is measured; `active` (n,): rows in which something moves: rest says nothing of the noise of motion;
+    `start`, `least` (m,): standard deviations to begin with, and the least ones: of rounding; `q`: spectral density to
+    begin with. Result (ndarray of float, float): standard deviation of each sensor, and the spectral density.
     """
     from scipy.optimize import minimize
 

@@ -43,15 +43,8 @@ _FIRST = 4
 def peak_need(routes: Sequence[Route]) -> float:
     """Return the energy that must be there at the start of some routes, in the mean.
 
-    Parameters
-    ----------
-    routes : sequence of Route
-        In the order of driving.
-
-    Returns
-    -------
-    float
-        Their energy [J], or more where energy that is regenerated comes too late.
+    `routes`: in the order of driving. Result: their energy [J], or more where energy that is regenerated comes too
+    late.
     """
     spent = np.cumsum(np.concatenate([route.profile.energy_j for route in routes]))
     return float(max(spent.max(initial=0.0), spent[-1] if spent.size else 0.0))
@@ -179,26 +172,9 @@ class ReachField:
 def reach_field(lattice: CostLattice, table: MoveTable, start: Points, *, round_trip: bool = False) -> ReachField:
     """Return what it takes to drive from one place to every cell, or there and back.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    table : MoveTable
-        Priced moves of the lattice.
-    start : ndarray of float, (2,)
-        Fractional (row, col).
-    round_trip : bool, default False
-        Whether it must come back to the start, by the best way back.
-
-    Returns
-    -------
-    ReachField
-        For any battery.
-
-    Raises
-    ------
-    BlockedError
-        If a round trip is asked for and no leg leads back to the start.
+    `lattice`: prices and limits; `table`: priced moves of the lattice; `start` (2,): fractional (row, col);
+    `round_trip`: whether it must come back to the start, by the best way back. Result: for any battery. Raises
+    BlockedError if a round trip is asked for and no leg leads back to the start.
     """
     if round_trip:
         out, back = both(lambda: field_from(lattice, table, start), lambda: field_towards(lattice, table, start[None]))

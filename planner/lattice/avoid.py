@@ -22,24 +22,9 @@ MOST_CORNERS = 20_000
 def checked_polygons(polygons: Sequence[Sequence[Sequence[float]]], frame: GridFrame) -> tuple[Polygon, ...]:
     """Return polygons whose corners are finite and that meet the map.
 
-    Parameters
-    ----------
-    polygons : sequence of sequence of (x, y)
-        Corners [m].
-    frame : GridFrame
-        The map.
-
-    Returns
-    -------
-    tuple of Polygon
-        The same polygons.
-
-    Raises
-    ------
-    InputError
-        If one has fewer than three corners, or all together have more than `MOST_CORNERS`.
-    PointError
-        If a corner is not finite, or a polygon lies outside the map.
+    `polygons` (x, y): corners [m]; `frame`: the map. Result: the same polygons. Raises InputError if one has fewer than
+    three corners, or all together have more than `MOST_CORNERS`. Raises PointError if a corner is not finite, or a
+    polygon lies outside the map.
     """
     count = sum(len(polygon) for polygon in polygons)
     if count > MOST_CORNERS:
@@ -66,17 +51,8 @@ def checked_polygons(polygons: Sequence[Sequence[Sequence[float]]], frame: GridF
 def touched_cells(frame: GridFrame, polygons: Sequence[Polygon]) -> NDArray[np.bool_]:
     """Return which cells polygons touch.
 
-    Parameters
-    ----------
-    frame : GridFrame
-        The cells.
-    polygons : sequence of Polygon
-        Where they overlap, both count.
-
-    Returns
-    -------
-    ndarray of bool, (rows, cols)
-        True in every cell that has a part of a polygon, so that a narrow one has no gaps.
+    `frame`: the cells; `polygons`: where they overlap, both count. Result (rows, cols): true in every cell that has a
+    part of a polygon, so that a narrow one has no gaps.
     """
     touched: NDArray[np.bool_] = np.zeros(frame.shape, dtype=np.bool_)
     west, south, east, north = frame.bounds
@@ -101,17 +77,7 @@ def _drawn(frame: GridFrame, polygon: Polygon) -> NDArray[np.bool_]:
 def window_of(frame: GridFrame, polygon: Polygon) -> tuple[int, int, int, int]:
     """Return the cells that hold a polygon.
 
-    Parameters
-    ----------
-    frame : GridFrame
-        The map.
-    polygon : Polygon
-        It meets the map.
-
-    Returns
-    -------
-    tuple of int
-        (row0, row1, col0, col1) on the map.
+    `frame`: the map; `polygon`: it meets the map. Result: (row0, row1, col0, col1) on the map.
     """
     x, y = np.array(polygon).T
     row, col = frame.rowcol(x, y)
@@ -124,17 +90,8 @@ def window_of(frame: GridFrame, polygon: Polygon) -> tuple[int, int, int, int]:
 def without(lattice: CostLattice, polygons: Sequence[Polygon]) -> CostLattice:
     """Return the lattice with the cells of polygons blocked as `Blocked.AVOID`.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Its other arrays are shared.
-    polygons : sequence of Polygon
-        From `checked_polygons`.
-
-    Returns
-    -------
-    CostLattice
-        Cells that were blocked before keep their reason.
+    `lattice`: its other arrays are shared; `polygons`: from `checked_polygons`. Result: cells that were blocked before
+    keep their reason.
     """
     closed = touched_cells(lattice.frame, polygons) & (lattice.blocked == Blocked.FREE)
     return replace(lattice, blocked=np.where(closed, np.uint8(Blocked.AVOID), lattice.blocked))

@@ -66,17 +66,8 @@ _ATTRIBUTES: dict[str, dict[str, Any]] = {
 def attributes_of(name: str, crs: str | None) -> dict[str, Any]:
     """Return the CF attributes of one of a lattice's variables.
 
-    Parameters
-    ----------
-    name : str
-        A name in `DIMENSIONS`.
-    crs : str or None
-        Coordinate reference system of the lattice.
-
-    Returns
-    -------
-    dict
-        `units`, `long_name` and more, all JSON-able.
+    `name`: a name in `DIMENSIONS`; `crs`: coordinate reference system of the lattice. Result: `units`, `long_name` and
+    more, all JSON-able.
     """
     return _ATTRIBUTES[name] | ({"grid_mapping": CRS_VARIABLE} if crs is not None else {})
 
@@ -84,20 +75,10 @@ def attributes_of(name: str, crs: str | None) -> dict[str, Any]:
 def coordinates_of(frame: GridFrame, headings: int, *, components: bool = True) -> dict[str, Variable]:
     """Return the coordinate variables of a lattice.
 
-    Parameters
-    ----------
-    frame : GridFrame
-        Where the cells lie.
-    headings : int
-        Number of heading bins K.
-    components : bool, default True
-        Whether to include `component`, the dimension of the gradient.
-
-    Returns
-    -------
-    dict
-        Name to (dimensions, values, attributes): `y` (rows,) and `x` (cols,) [m] at cell centres, `heading` (K,)
-        [degrees clockwise from north], `component` (2,), and `spatial_ref` () where the CRS is known.
+    `frame`: where the cells lie; `headings`: number of heading bins K; `components`: whether to include `component`,
+    the dimension of the gradient. Result: name to (dimensions, values, attributes): `y` (rows,) and `x` (cols,) [m] at
+    cell centres, `heading` (K,) [degrees clockwise from north], `component` (2,), and `spatial_ref` () where the CRS is
+    known.
     """
     x, y = frame.centres()
     found: dict[str, Variable] = {
@@ -122,18 +103,10 @@ def coordinates_of(frame: GridFrame, headings: int, *, components: bool = True) 
 def lattice_dataset(lattice: CostLattice) -> xarray.Dataset:
     """Return a lattice as an xarray Dataset with coordinates and units.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        The lattice; its arrays are shared, not copied, where no value changes.
-
-    Returns
-    -------
-    xarray.Dataset
-        Over `y`, `x` [m] and `heading` [degrees clockwise from north]: `energy_per_m` [J/m], NaN where that heading is
-        blocked; `traction_per_m` [J/m]; `blocked`, a `Blocked` code by heading; `std_j` [J] where it is known; and over
-        `y`, `x`: `elevation_m` [m]. The attributes `robot` and `provenance` are JSON texts, so that the Dataset can be
-        written to any format.
+    `lattice`: the lattice; its arrays are shared, not copied, where no value changes. Result: over `y`, `x` [m] and
+    `heading` [degrees clockwise from north]: `energy_per_m` [J/m], NaN where that heading is blocked; `traction_per_m`
+    [J/m]; `blocked`, a `Blocked` code by heading; `std_j` [J] where it is known; and over `y`, `x`: `elevation_m` [m].
+    The attributes `robot` and `provenance` are JSON texts, so that the Dataset can be written to any format.
     """
     import xarray
 

@@ -23,22 +23,9 @@ def within_power(planner: RoutePlanner, max_power_w: float | None) -> RoutePlann
 
     The one that was asked for last is kept with each planner.
 
-    Parameters
-    ----------
-    planner : RoutePlanner
-        Of a cost map in memory.
-    max_power_w : float or None
-        Most power at the robot's speed [W]; None returns this planner.
-
-    Returns
-    -------
-    RoutePlanner
-        It needs as much memory for its moves as the one that was given.
-
-    Raises
-    ------
-    InputError
-        If it takes as much without moving.
+    `planner`: of a cost map in memory; `max_power_w`: most power at the robot's speed [W]; None returns this planner.
+    Result: it needs as much memory for its moves as the one that was given. Raises InputError if it takes as much
+    without moving.
     """
     if max_power_w is None:
         return planner
@@ -77,22 +64,8 @@ class PowerLimited(RoutePlanner):
     def plan(self, start_xy: tuple[float, float], goal_xy: tuple[float, float], how: RouteOptions = USUAL) -> Plan:
         """Return routes within the power, as `RoutePlanner.plan`.
 
-        Parameters
-        ----------
-        start_xy, goal_xy : tuple of float
-            World x, y [m].
-        how : RouteOptions, optional
-            As there.
-
-        Returns
-        -------
-        Plan
-            Both routes draw at most this power.
-
-        Raises
-        ------
-        NoRouteError
-            If there is none; the message names the power.
+        `start_xy`, `goal_xy`: world x, y [m]; `how`: as there. Result: both routes draw at most this power. Raises
+        NoRouteError if there is none; the message names the power.
         """
         try:
             return super().plan(start_xy, goal_xy, how)

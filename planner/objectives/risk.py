@@ -36,49 +36,21 @@ class Aim(Protocol):
     def value(self, mean_j: float, variance_j2: float) -> float:
         """Return the objective.
 
-        Parameters
-        ----------
-        mean_j : float
-            Expected energy [J].
-        variance_j2 : float
-            Variance of what is no share of the energy [J2].
-
-        Returns
-        -------
-        float
-            The smaller the better.
+        `mean_j`: expected energy [J]; `variance_j2`: variance of what is no share of the energy [J2]. Result: the
+        smaller the better.
         """
 
     def price(self, mean_j: float, variance_j2: float) -> float:
         """Return what a unit of variance is worth in mean energy.
 
-        Parameters
-        ----------
-        mean_j : float
-            Expected energy [J].
-        variance_j2 : float
-            Variance [J2].
-
-        Returns
-        -------
-        float
-            Ratio of the derivatives of the objective [1/J], at least 0.
+        `mean_j`: expected energy [J]; `variance_j2`: variance [J2]. Result: ratio of the derivatives of the objective
+        [1/J], at least 0.
         """
 
     def is_close(self, found: float, bound: float) -> bool:
         """Return whether a value is near enough to its bound.
 
-        Parameters
-        ----------
-        found : float
-            Of a route.
-        bound : float
-            Below which no route is.
-
-        Returns
-        -------
-        bool
-            Whether the search may end.
+        `found`: of a route; `bound`: below which no route is. Result: whether the search may end.
         """
 
 
@@ -103,30 +75,14 @@ class LeastQuantile:
     def value(self, mean_j: float, variance_j2: float) -> float:
         """Return the quantile, see `Aim`.
 
-        Parameters
-        ----------
-        mean_j, variance_j2 : float
-            As there.
-
-        Returns
-        -------
-        float
-            Energy [J].
+        `mean_j`, `variance_j2`: as there. Result: energy [J].
         """
         return mean_j + self.bias * abs(mean_j) + self.steps * math.hypot(self.run_share * mean_j, variance_j2**0.5)
 
     def price(self, mean_j: float, variance_j2: float) -> float:
         """Return the price of variance, see `Aim`.
 
-        Parameters
-        ----------
-        mean_j, variance_j2 : float
-            As there.
-
-        Returns
-        -------
-        float
-            [1/J].
+        `mean_j`, `variance_j2`: as there. Result: [1/J].
         """
         scale = math.hypot(self.run_share * mean_j, variance_j2**0.5)
         slope = 1.0 + self.bias + self.steps * self.run_share**2 * mean_j / max(scale, 1e-12)
@@ -135,15 +91,7 @@ class LeastQuantile:
     def is_close(self, found: float, bound: float) -> bool:
         """Return whether a quantile is near its bound, see `Aim`.
 
-        Parameters
-        ----------
-        found, bound : float
-            As there.
-
-        Returns
-        -------
-        bool
-            Whether the search may end.
+        `found`, `bound`: as there. Result: whether the search may end.
         """
         return found - bound <= CLOSE * abs(found)
 
@@ -169,15 +117,7 @@ class MostLikely:
     def value(self, mean_j: float, variance_j2: float) -> float:
         """Return the number of scales that are missing, see `Aim`.
 
-        Parameters
-        ----------
-        mean_j, variance_j2 : float
-            As there.
-
-        Returns
-        -------
-        float
-            Negative where there is enough.
+        `mean_j`, `variance_j2`: as there. Result: negative where there is enough.
         """
         spare = self.available_j - mean_j - self.bias * abs(mean_j)
         return -spare / max(math.hypot(self.run_share * mean_j, variance_j2**0.5), 1e-9 * abs(mean_j), 1e-12)
@@ -185,15 +125,7 @@ class MostLikely:
     def price(self, mean_j: float, variance_j2: float) -> float:
         """Return the price of variance, see `Aim`.
 
-        Parameters
-        ----------
-        mean_j, variance_j2 : float
-            As there.
-
-        Returns
-        -------
-        float
-            [1/J]; 0 where the median takes more than there is: luck is no plan.
+        `mean_j`, `variance_j2`: as there. Result: [1/J]; 0 where the median takes more than there is: luck is no plan.
         """
         spare = self.available_j - mean_j * (1.0 + self.bias)
         level = (1.0 + self.bias) * variance_j2 + self.available_j * self.run_share**2 * mean_j
@@ -202,15 +134,7 @@ class MostLikely:
     def is_close(self, found: float, bound: float) -> bool:
         """Return whether a number of scales is near its bound, see `Aim`.
 
-        Parameters
-        ----------
-        found, bound : float
-            As there.
-
-        Returns
-        -------
-        bool
-            Whether the search may end.
+        `found`, `bound`: as there. Result: whether the search may end.
         """
         return found - bound <= CLOSE
 
@@ -264,17 +188,7 @@ class Outcome(Generic[Ways]):
     def joined(self, other: Outcome[Ways], worth: Callable[[Priced[Ways]], float]) -> Outcome[Ways]:
         """Return the better of two outcomes of one objective, with what both say of all ways.
 
-        Parameters
-        ----------
-        other : Outcome
-            Of other searches.
-        worth : callable
-            What the better is chosen by.
-
-        Returns
-        -------
-        Outcome
-            With the larger bound of both.
+        `other`: of other searches; `worth`: what the better is chosen by. Result: with the larger bound of both.
         """
         better = min((self, other), key=lambda one: worth(one.best))
         bound = min(max(self.bound, other.bound), better.value)
@@ -286,20 +200,9 @@ def least(
 ) -> Outcome[Ways]:
     """Return the ways for which an objective is least.
 
-    Parameters
-    ----------
-    aim : Aim
-        The objective.
-    solve : callable
-        Returns the cheapest ways at a price of variance [1/J].
-    worth : callable, optional
-        What the best of the ways found is chosen by; the objective itself by default. The first, those of least mean,
-        win ties.
-
-    Returns
-    -------
-    Outcome
-        With its bound.
+    `aim`: the objective; `solve`: returns the cheapest ways at a price of variance [1/J]; `worth`: what the best of the
+    ways found is chosen by; the objective itself by default. The first, those of least mean, win ties. Result: with its
+    bound.
     """
 
     def _value(one: Priced[Ways]) -> float:

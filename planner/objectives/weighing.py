@@ -48,28 +48,9 @@ class Weighing:
     ) -> tuple[Route, float]:
         """Return the cheapest way at a price.
 
-        Parameters
-        ----------
-        start, goal : ndarray of float, (2,)
-            Fractional (row, col).
-        price : float
-            Of variance [1/J].
-        neighbours : {32, 8, 16}
-            Moves per cell.
-        refine : bool, default True
-            Whether the path is improved to any angle.
-
-        Returns
-        -------
-        route : Route
-            Priced at its mean energy.
-        least_j : float
-            What no path over grid moves is cheaper than [J].
-
-        Raises
-        ------
-        NoRouteError
-            If there is no way.
+        `start`, `goal` (2,): fractional (row, col); `price`: of variance [1/J]; `neighbours`: moves per cell; `refine`:
+        whether the path is improved to any angle. Returns `route`: priced at its mean energy; `least_j`: what no path
+        over grid moves is cheaper than [J]. Raises NoRouteError if there is no way.
         """
         table = self.table(price, neighbours)
         if refine:
@@ -82,17 +63,8 @@ class Weighing:
     def table(self, price: float, neighbours: int) -> MoveTable:
         """Return the moves at a price.
 
-        Parameters
-        ----------
-        price : float
-            Of variance [1/J].
-        neighbours : {8, 16, 32}
-            Moves per cell.
-
-        Returns
-        -------
-        MoveTable
-            Exact: the mean and the variance of a move add up.
+        `price`: of variance [1/J]; `neighbours`: moves per cell. Result: exact: the mean and the variance of a move add
+        up.
         """
         lattice, base = self._planner.lattice, self._planner._table(neighbours, distance=False)
         lifted = lattice.robot.weight_n * np.nan_to_num(lattice.elevation_m.astype(np.float64))
@@ -107,15 +79,7 @@ class Weighing:
     def variances(self, neighbours: int) -> Array:
         """Return the variance of every move.
 
-        Parameters
-        ----------
-        neighbours : {8, 16, 32}
-            Moves per cell.
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols, N)
-            [J2]; NaN where it may not be driven.
+        `neighbours`: moves per cell. Result (rows, cols, N): [J2]; NaN where it may not be driven.
         """
         if neighbours not in self._of_moves:
             lattice = self._planner.lattice
@@ -132,20 +96,9 @@ class Weighing:
 def weighed(lattice: CostLattice, variance: Array, price: float) -> CostLattice:
     """Return a lattice whose prices hold the variance of every metre.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    variance : ndarray of float32, (rows, cols, headings)
-        Of a metre [J2/m].
-    price : float
-        Of variance [1/J].
-
-    Returns
-    -------
-    CostLattice
-        At cell centres and heading bins its price is mean + price variance. Where the brakes take all of the energy of
-        a descent, prices between them are those of an interpolated price, a little above.
+    `lattice`: prices and limits; `variance` (rows, cols, headings): of a metre [J2/m]; `price`: of variance [1/J].
+    Result: at cell centres and heading bins its price is mean + price variance. Where the brakes take all of the energy
+    of a descent, prices between them are those of an interpolated price, a little above.
     """
     if price == 0.0:
         return lattice

@@ -77,21 +77,8 @@ def coarse_level(
 
     Where the folder cannot be written, it is kept in a temporary folder of this process.
 
-    Parameters
-    ----------
-    stored : StoredLattice
-        The lattice.
-    moves : MovePrices
-        Its moves.
-    block_cells : int, optional
-        Side of a block.
-    progress : callable, optional
-        Called with the share that is done, 0..1; an exception that it raises ends the work.
-
-    Returns
-    -------
-    CoarseLevel
-        The coarse level.
+    `stored`: the lattice; `moves`: its moves; `block_cells`: side of a block; `progress`: called with the share that is
+    done, 0..1; an exception that it raises ends the work. Result: the coarse level.
     """
     name = f"{MADE_FROM_IT}{len(moves.offsets)}"
     place = stored.path / name

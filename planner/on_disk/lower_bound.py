@@ -42,23 +42,9 @@ def potentials_towards(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return lower bounds towards a goal, without their constants.
 
-    Parameters
-    ----------
-    coarse : CoarseLevel
-        Of the lattice.
-    goal : ndarray of float, (2,)
-        Fractional (row, col).
-    unit : ndarray of float64, (N, 2)
-        (row, col) step of each direction, of length 1.
-    spacing_m : float
-        Side of a cell [m].
-
-    Returns
-    -------
-    shares : ndarray of float64, (P,)
-        Shares s of the surface: of the rise, for which there is a bound.
-    nodes_j : ndarray of float64, (P, block rows + 1, block cols + 1)
-        phi of each at the corners of the blocks [J].
+    `coarse`: of the lattice; `goal` (2,): fractional (row, col); `unit` (N, 2): (row, col) step of each direction, of
+    length 1; `spacing_m`: side of a cell [m]. Returns `shares` (P,): shares s of the surface: of the rise, for which
+    there is a bound; `nodes_j` (P, block rows + 1, block cols + 1): phi of each at the corners of the blocks [J].
     """
     shares, found = [], []
     side = coarse.block_cells * spacing_m
@@ -195,20 +181,9 @@ def _worst(nodes, least, unit, side):
 def fill_bounds(out, surface, row, col, nodes, shares, constants, block):
     """Fill the lower bounds of the cells of one tile.
 
-    Parameters
-    ----------
-    out : ndarray of float64, (height, width)
-        Is filled [J].
-    surface : ndarray of float32, (height, width)
-        The surface of these cells [J].
-    row, col : int
-        The tile's north-west cell.
-    nodes : ndarray of float64, (S, block rows + 1, block cols + 1)
-        phi of each potential [J].
-    shares, constants : ndarray of float64, (S,)
-        Their shares of the surface, and their constants [J].
-    block : int
-        Cells along a block.
+    `out` (height, width): is filled [J]; `surface` (height, width): the surface of these cells [J]; `row`, `col`: the
+    tile's north-west cell; `nodes` (S, block rows + 1, block cols + 1): phi of each potential [J]; `shares`,
+    `constants` (S,): their shares of the surface, and their constants [J]; `block`: cells along a block.
     """
     for i in range(out.shape[0]):
         a = (row + i) // block

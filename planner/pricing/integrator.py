@@ -34,16 +34,9 @@ little sooner."""
 def price_terms(lattice: CostLattice) -> NDArray[np.float64]:
     """Return what pricing kernels need beside the arrays.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-
-    Returns
-    -------
-    ndarray of float, (9,)
-        Side of a cell [m], idle energy per metre [J/m], regeneration share, tangents of the greatest grade and of the
-        greatest cross slope, greatest traction [J/m]; and three zeros: every leg is driven exactly.
+    `lattice`: prices and limits. Result (9,): side of a cell [m], idle energy per metre [J/m], regeneration share,
+    tangents of the greatest grade and of the greatest cross slope, greatest traction [J/m]; and three zeros: every leg
+    is driven exactly.
     """
     robot = lattice.robot
     limits = *lattice.max_tangents, lattice.max_traction_per_m
@@ -53,16 +46,8 @@ def price_terms(lattice: CostLattice) -> NDArray[np.float64]:
 def margin_cells(lattice: CostLattice) -> float:
     """Return how far paths keep from ground that may not be driven.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        With its robot.
-
-    Returns
-    -------
-    float
-        Three standard deviations of the robot's tracking, within `LEAST_MARGIN_CELLS` and `MOST_MARGIN_CELLS`; 0 for
-        one that keeps to its path exactly [cells].
+    `lattice`: with its robot. Result: three standard deviations of the robot's tracking, within `LEAST_MARGIN_CELLS`
+    and `MOST_MARGIN_CELLS`; 0 for one that keeps to its path exactly [cells].
     """
     std = lattice.robot.tracking_std_m / lattice.frame.resolution_m
     return min(max(LEAST_MARGIN_CELLS, 3.0 * std), MOST_MARGIN_CELLS) if std > 0.0 else 0.0
@@ -81,15 +66,7 @@ class Prices(NamedTuple):
 def exact_prices(lattice: CostLattice) -> Prices:
     """Return the prices of paths that are driven exactly.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-
-    Returns
-    -------
-    Prices
-        No margin is kept.
+    `lattice`: prices and limits. Result: no margin is kept.
     """
     arrays = lattice.traction_per_m, lattice.gradient, lattice.closed, price_terms(lattice)
     return Prices(*arrays, lattice.robot.turn_j_per_rad)
@@ -98,20 +75,9 @@ def exact_prices(lattice: CostLattice) -> Prices:
 def driven_prices(lattice: CostLattice, cell_j: float, *, penalty: float = SHAPE_PENALTY) -> Prices:
     """Return the prices of paths as the robot will drive them: with an error to the sides, and a margin.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    cell_j : float
-        Energy of a typical cell's length [J].
-    penalty : float, optional
-        Of a leg within the margin, in lengths.
-
-    Returns
-    -------
-    Prices
-        The last three terms are the margin [cells], the weight of a leg that far to either side in the mean, and the
-        penalty of a leg within the margin [J per cell].
+    `lattice`: prices and limits; `cell_j`: energy of a typical cell's length [J]; `penalty`: of a leg within the
+    margin, in lengths. Result: the last three terms are the margin [cells], the weight of a leg that far to either side
+    in the mean, and the penalty of a leg within the margin [J per cell].
     """
     prices, margin = exact_prices(lattice), margin_cells(lattice)
     if margin > 0.0:
@@ -124,17 +90,8 @@ def driven_prices(lattice: CostLattice, cell_j: float, *, penalty: float = SHAPE
 def metres_within_margin(lattice: CostLattice, points: Points) -> float:
     """Return how much of a polyline is nearer to ground that may not be driven than the robot's margin.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    float
-        Length of the stretches of `within_margin` [m].
+    `lattice`: prices and limits; `points` (n, 2): (row, col) polyline. Result: length of the stretches of
+    `within_margin` [m].
     """
     return sum(within_margin(lattice, points)) * lattice.frame.resolution_m
 
@@ -142,18 +99,8 @@ def metres_within_margin(lattice: CostLattice, points: Points) -> float:
 def within_margin(lattice: CostLattice, points: Points) -> list[float]:
     """Return the stretches of a polyline that are nearer to ground that may not be driven than the robot's margin.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    list of float
-        Their lengths [cells]: of the legs, cut to half a cell, those beside or ahead of which a leg at the margin may
-        not be driven.
+    `lattice`: prices and limits; `points` (n, 2): (row, col) polyline. Result: their lengths [cells]: of the legs, cut
+    to half a cell, those beside or ahead of which a leg at the margin may not be driven.
     """
     margin = margin_cells(lattice)
     if margin == 0.0 or len(points) < 2:
@@ -175,22 +122,8 @@ def within_margin(lattice: CostLattice, points: Points) -> list[float]:
 def world_points(lattice: CostLattice, xy: ArrayLike) -> Points:
     """Return world points as places of a lattice.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Whose frame counts.
-    xy : array_like, (n, 2 or more)
-        World x, y [m]; further columns are not used.
-
-    Returns
-    -------
-    ndarray of float, (n, 2)
-        Fractional (row, col).
-
-    Raises
-    ------
-    PointError
-        If a point is not finite, or the array has another shape.
+    `lattice`: whose frame counts; `xy` (n, 2 or more): world x, y [m]; further columns are not used. Result (n, 2):
+    fractional (row, col). Raises PointError if a point is not finite, or the array has another shape.
     """
     points = np.asarray(xy, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] < 2:
@@ -205,17 +138,8 @@ def world_points(lattice: CostLattice, xy: ArrayLike) -> Points:
 def leg_prices(lattice: CostLattice, points: Points) -> NDArray[np.float64]:
     """Return the energy of each leg of a polyline, without turns.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    ndarray of float, (n - 1,)
-        Energy [J]; NaN where a leg may not be driven.
+    `lattice`: prices and limits; `points` (n, 2): (row, col) polyline. Result (n - 1,): energy [J]; NaN where a leg may
+    not be driven.
     """
     return polyline_energies(exact_prices(lattice), np.ascontiguousarray(points, dtype=np.float64))
 
@@ -223,20 +147,9 @@ def leg_prices(lattice: CostLattice, points: Points) -> NDArray[np.float64]:
 def leg_prices_between(lattice: CostLattice, starts: Points, ends: Points) -> NDArray[np.float64]:
     """Return the energy of straight legs.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    starts, ends : ndarray of float, (n, 2)
-        Fractional (row, col).
+    `lattice`: prices and limits; `starts`, `ends` (n, 2): fractional (row, col). Result (n,): energy [J]; NaN where a
+    leg may not be driven.
 
-    Returns
-    -------
-    ndarray of float, (n,)
-        Energy [J]; NaN where a leg may not be driven.
-
-    Notes
-    -----
     The integral of the price hotel + max(t, 0) + regeneration * min(t, 0) along the leg, t the traction at the leg's
     heading, bilinear between cell centres. It is exact, so cutting a leg leaves its energy unchanged.
     """
@@ -247,17 +160,8 @@ def leg_prices_between(lattice: CostLattice, starts: Points, ends: Points) -> ND
 def path_price(lattice: CostLattice, points: Points) -> float:
     """Return the energy of a polyline with its turns.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    float
-        Energy [J]; NaN where a leg may not be driven.
+    `lattice`: prices and limits; `points` (n, 2): (row, col) polyline. Result: energy [J]; NaN where a leg may not be
+    driven.
     """
     return float(path_energy(exact_prices(lattice), np.ascontiguousarray(points, dtype=np.float64)))
 
@@ -265,27 +169,10 @@ def path_price(lattice: CostLattice, points: Points) -> float:
 def energy_per_m_at(lattice: CostLattice, x: float, y: float, headings_rad: ArrayLike) -> NDArray[np.float64]:
     """Return the price per metre at a world point for any headings.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    x, y : float
-        World point [m].
-    headings_rad : array_like, (n,)
-        Headings [rad, clockwise from north].
+    `lattice`: prices and limits; `x`, `y`: world point [m]; `headings_rad` (n,): headings [rad, clockwise from north].
+    Result (n,): price [J/m]; NaN where that heading is blocked or unknown. Raises PointError if the point is not finite
+    or lies outside the map.
 
-    Returns
-    -------
-    ndarray of float, (n,)
-        Price [J/m]; NaN where that heading is blocked or unknown.
-
-    Raises
-    ------
-    PointError
-        If the point is not finite or lies outside the map.
-
-    Notes
-    -----
     The limit of a leg's energy over its length as the leg shrinks to the point.
     """
     lattice.frame.cell_of(x, y)
@@ -302,26 +189,10 @@ def energy_per_m_at(lattice: CostLattice, x: float, y: float, headings_rad: Arra
 def interpolation_matrix(headings_rad: ArrayLike, bins: int) -> NDArray[np.float64]:
     """Return the weights that interpolate values at heading bins to any headings.
 
-    Parameters
-    ----------
-    headings_rad : array_like, (n,)
-        Headings [rad, clockwise from north].
-    bins : int
-        Number of heading bins K, at least 4.
+    `headings_rad` (n,): headings [rad, clockwise from north]; `bins`: number of heading bins K, at least 4. Result (n,
+    K): weights; rows sum to 1. Raises InputError if there are fewer than 4 bins.
 
-    Returns
-    -------
-    ndarray of float, (n, K)
-        Weights; rows sum to 1.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 4 bins.
-
-    References
-    ----------
-    Trigonometric interpolation, see `kernels.heading_weights`.
+    Reference: Trigonometric interpolation, see `kernels.heading_weights`.
     """
     headings = np.atleast_1d(np.asarray(headings_rad, dtype=np.float64))
     if bins < 4:
@@ -337,15 +208,7 @@ def interpolation_matrix(headings_rad: ArrayLike, bins: int) -> NDArray[np.float
 def path_headings(points: Points) -> NDArray[np.float64]:
     """Return the heading of each leg of a polyline.
 
-    Parameters
-    ----------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    ndarray of float, (n - 1,)
-        Headings [rad, clockwise from north, 0..2 pi).
+    `points` (n, 2): (row, col) polyline. Result (n - 1,): headings [rad, clockwise from north, 0..2 pi).
     """
     step = np.diff(points, axis=0)
     return heading_of(step[:, 1], -step[:, 0])

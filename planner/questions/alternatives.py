@@ -40,30 +40,10 @@ def alternative_paths(
 ) -> list[GridPath]:
     """Return the best path and good alternatives, cheapest first.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    table : MoveTable
-        Priced moves of the lattice.
-    start, goal : ndarray of float, (2,)
-        Fractional (row, col).
-    count : int
-        Most paths, the best one included.
+    `lattice`: prices and limits; `table`: priced moves of the lattice; `start`, `goal` (2,): fractional (row, col);
+    `count`: most paths, the best one included. Result: the paths. Raises NoRouteError if the goal cannot be reached.
 
-    Returns
-    -------
-    list of GridPath
-        The paths.
-
-    Raises
-    ------
-    NoRouteError
-        If the goal cannot be reached.
-
-    References
-    ----------
-    Jones 2007; Abraham, Delling, Goldberg & Werneck 2013.
+    Reference: Jones 2007; Abraham, Delling, Goldberg & Werneck 2013.
     """
     best = grid_search(lattice, table, start, goal)
     found = [best]
@@ -93,19 +73,8 @@ def improved_ways(lattice: CostLattice, best: Points, others: Sequence[Points]) 
 
     Where the step draws one into a path before it, both sides of its place farthest from them are improved instead.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    best : ndarray of float, (n, 2)
-        (row, col) polyline of the best path, improved already.
-    others : sequence of ndarray of float, (m, 2)
-        Alternatives over grid moves.
-
-    Returns
-    -------
-    list of ndarray of float, (k, 2)
-        The improved alternatives that are left.
+    `lattice`: prices and limits; `best` (n, 2): (row, col) polyline of the best path, improved already; `others` (m,
+    2): alternatives over grid moves. Result (k, 2): the improved alternatives that are left.
     """
     separation_m, limit = _separation_m(lattice, best), STRETCH * max(path_price(lattice, best), 0.0)
     away_m, kept = _metres_from(lattice, best), []

@@ -50,23 +50,10 @@ def energy_matrix(
 ) -> Matrix:
     """Return the least energies between starts and goals.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    table : MoveTable
-        Priced moves of the lattice.
-    starts, goals : sequence of ndarray of float, (2,), or str
-        Fractional (row, col); or why no route begins or ends there.
-    only_cheapest : bool, default False
-        Whether only the goal of least energy is found for each start, by a single search.
-    progress : callable, optional
-        Called with the share of the searches that is done, 0..1.
-
-    Returns
-    -------
-    Matrix
-        Energies [J], lengths [m] and reasons.
+    `lattice`: prices and limits; `table`: priced moves of the lattice; `starts`, `goals` (2,): fractional (row, col);
+    or why no route begins or ends there; `only_cheapest`: whether only the goal of least energy is found for each
+    start, by a single search; `progress`: called with the share of the searches that is done, 0..1. Result: energies
+    [J], lengths [m] and reasons.
     """
     energies, lengths = (np.full((len(starts), len(goals)), np.inf) for _ in range(2))
     begin, end = ({k: place for k, place in enumerate(some) if not isinstance(place, str)} for some in (starts, goals))

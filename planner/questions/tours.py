@@ -55,37 +55,12 @@ def cheapest_tour(
 
     What turning on arrival at a stop costs is not counted.
 
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    table : MoveTable
-        Priced moves of the lattice.
-    stops : ndarray of float, (n, 2)
-        Fractional (row, col) of 2 to `MAX_STOPS` stops.
-    time_limit_s : float, default 10.0
-        Longest time for the search of the order [s].
-    progress : callable, optional
-        Called with the share that is done, 0..1.
+    `lattice`: prices and limits; `table`: priced moves of the lattice; `stops` (n, 2): fractional (row, col) of 2 to
+    `MAX_STOPS` stops; `time_limit_s`: longest time for the search of the order [s]; `progress`: called with the share
+    that is done, 0..1. Result: the order and the paths. Raises InputError if the number of stops is out of range, or
+    OR-tools is not installed. Raises BlockedError if no leg reaches a stop. Raises NoRouteError if no route joins two
+    stops; the message names them. Raises BusyError if the time limit leaves no tour.
 
-    Returns
-    -------
-    Tour
-        The order and the paths.
-
-    Raises
-    ------
-    InputError
-        If the number of stops is out of range, or OR-tools is not installed.
-    BlockedError
-        If no leg reaches a stop.
-    NoRouteError
-        If no route joins two stops; the message names them.
-    BusyError
-        If the time limit leaves no tour.
-
-    Notes
-    -----
     One energy field towards each stop gives the energies between all of them, which on a slope are not the same both
     ways. OR-tools' CP-SAT then finds the order over a circuit constraint, exactly unless the time runs out: the
     asymmetric travelling salesman problem.

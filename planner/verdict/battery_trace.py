@@ -49,30 +49,15 @@ class BatteryTrace:
 def trace_battery(course: Course, battery: Battery, pack: Pack) -> BatteryTrace:
     """Return a battery along a course.
 
-    Parameters
-    ----------
-    course : Course
-        Its pieces; energies are those at the terminals of the battery.
-    battery : Battery
-        With its charge at the start.
-    pack : Pack
-        Its electric side.
+    `course`: its pieces; energies are those at the terminals of the battery; `battery`: with its charge at the start;
+    `pack`: its electric side. Result: a full battery takes no more charge.
 
-    Returns
-    -------
-    BatteryTrace
-        A full battery takes no more charge.
-
-    Notes
-    -----
     P = V I and V = U(s) - R I, so I = (U - sqrt(U^2 - 4 R P)) / (2 R) and ds/dt = -I / Q, with the open-circuit voltage
     U at the start of a piece (a piece is at most a metre). Where the battery cannot give the power it gives the most
     that it can, so that what follows is shown too.
 
-    References
-    ----------
-    Tremblay, Dessaint & Dekkiche 2007, "A generic battery model for the dynamic simulation of hybrid electric
-    vehicles", without its transient part.
+    Reference: Tremblay, Dessaint & Dekkiche 2007, "A generic battery model for the dynamic simulation of hybrid
+    electric vehicles", without its transient part.
     """
     timed = course.duration_s > 0.0
     power = np.where(timed, course.energy_j / np.where(timed, course.duration_s, 1.0), 0.0)
@@ -104,21 +89,9 @@ def trace_battery(course: Course, battery: Battery, pack: Pack) -> BatteryTrace:
 def electric_available_j(battery: Battery, pack: Pack, trace: BatteryTrace, used_j: float) -> float:
     """Return the energy above the reserve that a battery can give at the losses of a course.
 
-    Parameters
-    ----------
-    battery : Battery
-        Charge and reserve.
-    pack : Pack
-        Its electric side.
-    trace : BatteryTrace
-        Of the course.
-    used_j : float
-        Energy of the course at the terminals [J].
-
-    Returns
-    -------
-    float
-        Energy at the terminals [J]: what the curve holds between charge and reserve, less the course's share of losses.
+    `battery`: charge and reserve; `pack`: its electric side; `trace`: of the course; `used_j`: energy of the course at
+    the terminals [J]. Result: energy at the terminals [J]: what the curve holds between charge and reserve, less the
+    course's share of losses.
     """
     ends = sorted((battery.charge, battery.reserve))
     marks = np.array([ends[0], *(s for s, _ in pack.curve if ends[0] < s < ends[1]), ends[1]])

@@ -59,15 +59,7 @@ class EnergyOdds:
     def quantile(self, share: float) -> NDArray[np.float64]:
         """Return the energies that a share of drives does not exceed.
 
-        Parameters
-        ----------
-        share : float
-            Between 0 and 1.
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Energy [J].
+        `share`: between 0 and 1. Result (n,): energy [J].
         """
         from scipy.special import ndtri, stdtrit  # loads slowly, and few questions need it
 
@@ -77,15 +69,7 @@ class EnergyOdds:
     def lasts(self, available_j: ArrayLike) -> NDArray[np.float64]:
         """Return the probabilities that no more energy is needed than there is.
 
-        Parameters
-        ----------
-        available_j : array_like
-            Energy that may be used up to each place [J].
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Probability, 0 to 1.
+        `available_j`: energy that may be used up to each place [J]. Result (n,): probability, 0 to 1.
         """
         from scipy.special import ndtr, stdtr
 
@@ -104,15 +88,7 @@ class EnergyOdds:
     def final_quantile(self, share: float) -> float:
         """Return the energy that a share of drives does not exceed in all.
 
-        Parameters
-        ----------
-        share : float
-            Between 0 and 1.
-
-        Returns
-        -------
-        float
-            Energy [J]; not below 0 where the drive takes energy everywhere.
+        `share`: between 0 and 1. Result: energy [J]; not below 0 where the drive takes energy everywhere.
         """
         if not self.mean_j.size:
             return 0.0
@@ -126,15 +102,7 @@ class EnergyOdds:
 def class_of(probability: float) -> str:
     """Return the class of a verdict.
 
-    Parameters
-    ----------
-    probability : float
-        That the battery lasts.
-
-    Returns
-    -------
-    str
-        One of `CLASSES`.
+    `probability`: that the battery lasts. Result: one of `CLASSES`.
     """
     if probability >= SURE:
         return "yes"

@@ -189,17 +189,7 @@ class Course:
 def course_of(routes: Sequence[Route], *, weight_n: float | None = None) -> Course:
     """Return the course of routes that are driven one after another.
 
-    Parameters
-    ----------
-    routes : sequence of Route
-        In the order of driving, at least one.
-    weight_n : float, optional
-        Of the robot [N].
-
-    Returns
-    -------
-    Course
-        Of all their pieces.
+    `routes`: in the order of driving, at least one; `weight_n`: of the robot [N]. Result: of all their pieces.
     """
     profiles = [route.profile for route in routes]
     starts = np.cumsum([0.0, *(route.length_m for route in routes)])
