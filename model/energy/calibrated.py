@@ -75,6 +75,10 @@ class Correction(Protocol):
         """What is known of a run before it is driven, JSON-able."""
 
     @property
+    def drivetrain_efficiency(self) -> float | None:
+        """That of the robot of the runs, 0 where it declared none; None where that is not known."""
+
+    @property
     def effects(self) -> list[dict[str, Any]]:
         """What is added, JSON-able."""
 
@@ -127,7 +131,14 @@ class CalibratedPredictor(Predictor):
         }
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        found = list(self.base.warnings(heightmap, robot))
+        found = list(self.base.warnings(heightmap, self.robot_of_base(robot)))
+        declared, of_runs = robot.drivetrain_efficiency, self.correction.drivetrain_efficiency
+        if of_runs is not None and declared not in (0.0, of_runs):
+            then = f"declared {of_runs:g}" if of_runs else "declared none"
+            found.append(
+                f"the drivetrain efficiency of {declared:g} is not used: the robot of the calibration runs {then}, and "
+                "the runs say what climbs cost; calibrate again with this robot's file if it is the same robot"
+            )
         found += [
             f"plans do not contain the effect {title}: it depends on what only a log records"
             for title in self.correction.only_in_logs
@@ -151,6 +162,11 @@ class CalibratedPredictor(Predictor):
                         + ("follow a law that no run has shown there" if follow else "have their value at the border")
                     )
         return found
+
+    def robot_of_base(self, robot: Robot) -> Robot:
+        """Return the robot with the drivetrain that the base model had when its errors were measured."""
+        known = self.correction.drivetrain_efficiency
+        return robot if known is None else replace(robot, drivetrain_efficiency=known)
 
     def _kinds_unlike(self, heightmap: Heightmap) -> list[str]:
         """Warnings of ground that the runs do not show, of a model that learned of kinds of ground."""
@@ -212,7 +228,7 @@ class CalibratedPredictor(Predictor):
         """
         volts = robot.nominal_voltage_v if self.correction.charge and not segments.charge else 1.0
         segments = replace(segments, charge=segments.charge or self.correction.charge)
-        said = predict_segments(self.base, heightmap.bare, robot, segments)
+        said = predict_segments(self.base, heightmap.bare, self.robot_of_base(robot), segments)
         rows, _ = describe_segments(segments, heightmap, robot, said.traction_per_m, with_stationary=False)
         known = np.isfinite(said.energy_j) & np.isfinite(rows.grade)
         beyond = said.energy_j - rows.predicted
@@ -233,14 +249,15 @@ class CalibratedPredictor(Predictor):
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> tuple[FloatArray, FloatArray | None]:
         xs, ys, headings = (np.ascontiguousarray(a, float).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
-        traction, std = self.base.segment_traction_and_std(heightmap.bare, robot, xs, ys, headings)
+        base = self.robot_of_base(robot)
+        traction, std = self.base.segment_traction_and_std(heightmap.bare, base, xs, ys, headings)
         traction, std = self._on_kinds(heightmap, robot, traction, xs, ys), self._std(std, traction, robot)
         return self._with_effects(heightmap, robot, xs, ys, headings, traction), std
 
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        traction, std = self.base.traction_and_std(heightmap.bare, robot, frame, headings_rad)
+        traction, std = self.base.traction_and_std(heightmap.bare, self.robot_of_base(robot), frame, headings_rad)
         std = self._std(std, traction, robot)
         x, y = frame.centres()
         traction = self._on_kinds(heightmap, robot, traction, x[None, :, None], y[:, None, None])

@@ -42,6 +42,7 @@ class Correction:
     drive_prior: Mapping[str, Any] | None = None  # What is known of a run before it is driven, as `DrivePrior.as_dict`
     # What is added to the cost of turning on a kind of ground [J/rad], by name
     turn_by_kind: Mapping[str, float] = field(default_factory=dict)
+    drivetrain_efficiency: float | None = None  # Of the robot of the runs, 0 where it declared none
 
     @property
     def effects(self) -> list[dict[str, Any]]:

@@ -271,6 +271,7 @@ def correction_of(
         planner_scale=factor,
         reliability=reliability,
         drive_prior=prior,
+        drivetrain_efficiency=rows.robot.drivetrain_efficiency,
     )
 
 

@@ -57,12 +57,13 @@ class StoredBase:
         return self._base.traction_and_std(heightmap, robot, frame, headings_rad)
 
 
-def with_stored_base(source: Predictor, tiling: Tiling, finished: Iterable[Path]) -> Predictor:
+def with_stored_base(source: Predictor, robot: Robot, tiling: Tiling, finished: Iterable[Path]) -> Predictor:
     """Return the model of a cost map that is to be made, reading its base's answers where they are stored.
 
-    Result: `source` itself where it is not calibrated, or where no finished cost map fits.
+    `finished`: cost maps of the same robot. Result: `source` itself where it is not calibrated, where it asks its base
+    of another robot, or where no finished cost map fits.
     """
-    if not isinstance(source, CalibratedPredictor):
+    if not isinstance(source, CalibratedPredictor) or source.robot_of_base(robot) != robot:
         return source
     base = json.loads(json.dumps(source.base.provenance()))
     for place in finished:

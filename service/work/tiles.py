@@ -97,7 +97,7 @@ class Tiles:
             models_dir=order.models_dir,
         )
         alike = () if self.ground.layers else order.finished  # prices of a finished map have costs of layers in them
-        self.source = with_stored_base(source, self.tiling, alike)
+        self.source = with_stored_base(source, self.robot, self.tiling, alike)
 
     @classmethod
     def of(cls, order: MapOrder) -> Tiles:

@@ -305,6 +305,32 @@ def test_turning_that_costs_on_one_side_only_is_in_plans(field, tmp_path):
     assert 150.0 < (bent - straight) / (np.pi / 2.0) < 300.0  # the runs turn more to the right
 
 
+def test_a_calibration_remembers_the_drivetrain_of_its_robot(field, tmp_path):
+    """The runs say what climbs cost: of another efficiency the cost map is the same, and says so."""
+    declared, other = (tmp_path / f"{name}.toml" for name in ("declared", "other"))
+    lines = (field / "robot.toml").read_text().splitlines()
+    text = "\n".join(line for line in lines if not line.startswith("drivetrain_efficiency"))
+    declared.write_text(f"{text}\ndrivetrain_efficiency = 0.8\n")
+    other.write_text(f"{text}\ndrivetrain_efficiency = 0.4\n")
+    (tmp_path / "silent.toml").write_text(text)
+    out, dem = tmp_path / "out", field / "dem.tif"
+    options = ["--model", "physics", "--heightmap", dem, "--robot", declared, "--runs", field, "--out", out, "--quick"]
+    done = runner.invoke(app, ["calibrate", *map(str, options)])
+    assert done.exit_code == 0, done.output
+    said, prices = {}, {}
+    for robot in (declared, other, tmp_path / "silent.toml"):
+        at = tmp_path / f"{robot.stem}.zarr"
+        command = ["costmap", dem, "--model", out / "model", "--robot", robot, "--out", at]
+        done = runner.invoke(app, list(map(str, command)))
+        assert done.exit_code == 0, done.output
+        said[robot.stem] = " ".join(done.output.split())
+        prices[robot.stem] = joulemap.open_costmap(at).lattice.energy_per_m
+    np.testing.assert_array_equal(prices["other"], prices["declared"])
+    np.testing.assert_array_equal(prices["silent"], prices["declared"])
+    words = "the drivetrain efficiency of 0.4 is not used: the robot of the calibration runs declared 0.8"
+    assert [words in said[name] for name in ("declared", "other", "silent")] == [False, True, False]
+
+
 def test_a_model_that_is_not_confirmed_is_not_proposed(tmp_path):
     """Of four runs that have nothing in common, three say nothing of the one that is left out."""
     for name, log in unlike_logs().items():
