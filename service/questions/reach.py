@@ -52,14 +52,14 @@ class ReachLevel(ResponseModel):
     area_m2: float = Field(ge=0, description="area where the battery lasts [m2]")
     polygons: list[list[list[Position]]] = Field(
         description="parts of that area: the outer ring of each, anticlockwise, then the rings of its holes; world "
-        "[x, y] [m], the last point of a ring is the first one"
+        "x, y [m], the last point of a ring is the first one"
     )
 
 
 class ReachOut(ResponseModel):
     """Where the battery lasts to."""
 
-    start: Position = Field(description="world [x, y] [m]")
+    start: Position = Field(description="world x, y [m]")
     round_trip: bool = Field(description="whether it comes back to the start")
     confidence: float | None = Field(description="as asked for; null where the expected energy decides")
     levels: list[ReachLevel] = Field(description="one for each charge, in the order asked for")

@@ -38,7 +38,7 @@ class TourRequest(TourOptions, OnMap):
     stops: list[Place] = Field(
         min_length=2,
         max_length=MAX_STOPS,
-        description="places to visit, world [x, y] [m]; the first is where the tour begins and ends",
+        description="places to visit, world x, y [m]; the first is where the tour begins and ends",
         examples=[[[12.5, 40.5], [80.0, 15.0], [60.0, 50.0]]],
     )
     battery: BatteryIn | None = Field(

@@ -110,7 +110,7 @@ Point = Annotated[
 ]
 PathPoint = Annotated[
     list[Coordinate | None],
-    Field(min_length=2, max_length=3, description="world [x, y] or [x, y, z] [m]; z, which may be null, is ignored"),
+    Field(min_length=2, max_length=3, description="world x, y or x, y, z [m]; z, which may be null, is ignored"),
 ]
 
 
@@ -150,13 +150,13 @@ Place = Annotated[
 PathPlace = Annotated[
     PathPoint,
     _OrLatLon(),
-    Field(description=f"world [x, y] or [x, y, z] [m]; z, which may be null, is ignored; {_DEGREES}"),
+    Field(description=f"world x, y or x, y, z [m]; z, which may be null, is ignored; {_DEGREES}"),
 ]
 Areas = Annotated[
     list[Annotated[list[Place], Field(min_length=3, max_length=10_000, fail_fast=True)]],
     Field(
         max_length=100,
-        description="areas that no route may touch: the corners of each, world [x, y] [m]; their cells are blocked "
+        description="areas that no route may touch: the corners of each, world x, y [m]; their cells are blocked "
         "with the reason `avoid`",
         examples=[[[[20.0, 20.0], [30.0, 20.0], [30.0, 35.0]]]],
     ),
@@ -185,7 +185,7 @@ def quick_points(points: Any, validate: Callable[[Any], Any]) -> Any:
 
 GivenPath = Annotated[list[PathPlace], Field(fail_fast=True), WrapValidator(quick_points)]
 Point3 = Annotated[
-    list[float | None], Field(min_length=3, max_length=3, description="world [x, y, z] [m]; z null where unknown")
+    list[float | None], Field(min_length=3, max_length=3, description="world x, y, z [m]; z null where unknown")
 ]
 
 _ROBOT_WORDS = {

@@ -21,7 +21,7 @@ class HeightmapOut(ResponseModel):
     resolution_m: float = Field(description="side of a cell [m]", examples=[1.0])
     crs: str | None = Field(description="coordinate reference system; null where unknown", examples=["EPSG:32630"])
     bounds: list[float] = Field(
-        min_length=4, max_length=4, description="[west, south, east, north] [m]", examples=[[0.0, 0.0, 300.0, 200.0]]
+        min_length=4, max_length=4, description="west, south, east, north [m]", examples=[[0.0, 0.0, 300.0, 200.0]]
     )
     known_share: float = Field(description="share of cells whose height is known, 0..1", examples=[0.98])
     height_min_m: float = Field(description="lowest known height [m]", examples=[48.2])
@@ -52,7 +52,7 @@ class FrameOut(ResponseModel):
     rows: int = Field(examples=[200])
     cols: int = Field(examples=[300])
     spacing_m: float = Field(description="side of a cell [m]", examples=[1.0])
-    bounds: list[float] = Field(min_length=4, max_length=4, description="[west, south, east, north] [m]")
+    bounds: list[float] = Field(min_length=4, max_length=4, description="west, south, east, north [m]")
     crs: str | None = Field(examples=["EPSG:32630"])
 
 
