@@ -139,4 +139,8 @@ def test_a_refusal_of_a_log_says_which_columns_were_recognised(service):
     rows = "".join(f"{0.5 * k},{k},{24 + k % 3},{3 + k % 4}\n" for k in range(40))
     wrong = service.post("/v1/runs", files=[("file", ("a.csv", "zeit,q2,U_batt,I_batt\n" + rows))])
     assert wrong.status_code == 422
-    assert wrong.json()["context"]["reading"] == {"voltage": "U_batt [V]", "current": "I_batt [A]"}
+    assert wrong.json()["context"]["reading"] == {
+        "t": "zeit [s]",
+        "voltage": "U_batt [V]",
+        "current": "I_batt [A]",
+    }
