@@ -14,8 +14,12 @@ Names are loaded when they are first used: importing joulemap loads neither torc
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+# Where colorama is installed numba exchanges sys.stdout while it colours an error, in whatever thread compiles.
+os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 if TYPE_CHECKING:
     from joulemap.model.battery import Battery
