@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from joulemap.planner.areas.energy_map import EnergyMap
     from joulemap.service.client import Client
     from joulemap.service.library.calibrations import CalibrationResult, calibrate
+    from joulemap.service.library.comparison import compare
     from joulemap.service.library.costmaps import CostMap, StoredCostMap, costmap, open_costmap
     from joulemap.service.library.drive import Drive
     from joulemap.service.library.feasibility import Feasibility
@@ -57,6 +58,7 @@ __all__ = [
     "Runs",
     "StoredCostMap",
     "calibrate",
+    "compare",
     "costmap",
     "evaluate",
     "heightmap",
@@ -76,6 +78,7 @@ _HOMES = {
     "joulemap.planner.areas.energy_map": ("EnergyMap",),
     "joulemap.service.client": ("Client",),
     "joulemap.service.library.calibrations": ("CalibrationResult", "calibrate"),
+    "joulemap.service.library.comparison": ("compare",),
     "joulemap.service.library.costmaps": ("CostMap", "StoredCostMap", "costmap", "open_costmap"),
     "joulemap.service.library.heightmaps": ("heightmap", "heightmap_from_runs", "read_heightmap"),
     "joulemap.service.library.layers": ("with_layers",),

@@ -36,7 +36,7 @@ def prepare_build(
     ground: Ground,
     robot: Robot,
     *,
-    model: str | Path = DEFAULT_MODEL,
+    model: str | Path | Predictor = DEFAULT_MODEL,
     spacing_m: float = 1.0,
     headings: int = DEFAULT_HEADINGS,
     models_dir: Path | None = None,
@@ -47,7 +47,7 @@ def prepare_build(
     `tiling`: the tiles of the lattice.
     """
     tiling = check_lattice(ground.frame, spacing_m=spacing_m, headings=headings)
-    predictor = find_predictor(model, models_dir=models_dir)
+    predictor = find_predictor(model, models_dir=models_dir) if isinstance(model, str | Path) else model
     return planning_robot(predictor, robot, ground), predictor, tiling
 
 
@@ -60,7 +60,7 @@ def make_cost_lattice(
     ground: Ground,
     robot: Robot,
     *,
-    model: str | Path = DEFAULT_MODEL,
+    model: str | Path | Predictor = DEFAULT_MODEL,
     spacing_m: float = 1.0,
     headings: int = DEFAULT_HEADINGS,
     models_dir: Path | None = None,

@@ -15,7 +15,7 @@ from joulemap.service.library.drive import Drive
 from joulemap.service.library.feasibility import Feasibility
 from joulemap.service.library.planned_route import PlannedRoute
 from joulemap.service.library.planned_tour import PlannedTour
-from joulemap.service.models import DEFAULT_MODEL, find_predictor
+from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.places.places import Places
 from joulemap.service.questions import charging, matrix, path, tour
 from joulemap.service.questions.asking import asks
@@ -243,9 +243,9 @@ class RouteQuestions(CostMapBase):
         # readers and models load slowly, and most questions to a cost map need none
         from joulemap.service.analysis.speeds import speeds_along
         from joulemap.service.library.heightmaps import ground_of
-        from joulemap.service.library.models import model_folder
+        from joulemap.service.library.models import predictor_of
 
-        made_of, predictor = ground_of(heightmap), find_predictor(model_folder(model))
+        made_of, predictor = ground_of(heightmap), predictor_of(model)
         deadline_s = wanted.deadline_s
         return speeds_along(
             route, self.lattice, made_of, predictor, by_stretch=wanted.by_stretch, deadline_s=deadline_s

@@ -49,9 +49,11 @@ def costmap(
     ----------
     ground : Heightmap, str or Path
         The heightmap, or its file.
-    model : str, Path or Model, optional
+    model : str, Path, Model, callable or object with `predict`, optional
         "default" (the shipped network), "physics", the folder of a trained or calibrated model, or what `train` and
-        `calibrate` return.
+        `calibrate` return. Or a model of your own, which answers traction [J/m] without idle power: a function of the
+        slope along, the slope across (rise over run), the roughness [m] and the speed [m/s], arrays (n,); or an object
+        whose `predict` takes heights, (n, 32, 32) [m], of the metre ahead and headings, (n,) [rad].
 
     Returns
     -------
@@ -72,12 +74,15 @@ def costmap(
     >>> costs = jm.costmap(jm.heightmap(slope, resolution_m=0.5), model="physics")
     >>> costs.plan((3.0, 10.0), (27.0, 10.0)).energy_j > costs.plan((27.0, 10.0), (3.0, 10.0)).energy_j
     True
+    >>> mine = lambda along, across, roughness, speed: 30.0 + 400.0 * along + 900.0 * roughness
+    >>> jm.costmap(jm.heightmap(slope, resolution_m=0.5), model=mine).plan((3.0, 10.0), (27.0, 10.0)).length_m
+    24.0
     """
     # readers load slowly, and a cost map that is there already needs none
     from joulemap.service.library.heightmaps import ground_of, robot_of
-    from joulemap.service.library.models import model_folder
+    from joulemap.service.library.models import predictor_of
 
-    how = {**wanted, "model": model_folder(model), "progress": progress}
+    how = {**wanted, "model": predictor_of(model), "progress": progress}
     return CostMap(make_cost_lattice(ground_of(ground), robot_of(robot), **how))
 
 

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE
-from joulemap.model.errors import ConflictError
+from joulemap.model.energy.own_model import Formula, OwnModel, PredictsFromHeights
+from joulemap.model.energy.predictor import Predictor
+from joulemap.model.errors import ConflictError, InputError
 from joulemap.service.library.heightmaps import GroundLike, RobotLike
 from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.run_files import RunsLike
 from joulemap.service.library.sites import SiteLike, sites_given
-from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.models import DEFAULT_MODEL, find_predictor
 from joulemap.service.questions.asking import asks
 from joulemap.service.questions.training import EvaluationOptions, TrainingOptions
 from joulemap.service.words import runs_words, turning_words
@@ -27,16 +29,26 @@ class InFolder(Protocol):
         """Folder of the model."""
 
 
-ModelLike = str | Path | InFolder
-"""The name of a model ("default", "physics"), its folder, or what `train` and `calibrate` return."""
+ModelLike = str | Path | InFolder | Formula | PredictsFromHeights
+"""The name of a model ("default", "physics"), its folder, what `train` and `calibrate` return, or a model of one's own:
+a formula, or an object that predicts from heights."""
 
 
-def model_folder(model: ModelLike) -> str | Path:
-    """Return the name or folder of the model that is meant.
+def predictor_of(model: ModelLike) -> Predictor:
+    """Return the predictor of the model that is meant.
 
-    Result: as `joulemap.service.models.find_predictor` takes it.
+    Raises ModelError if there is no such model, InputError if it is none.
     """
-    return model if isinstance(model, str | Path) else model.folder
+    if isinstance(model, str | Path):
+        return find_predictor(model)
+    if isinstance(folder := getattr(model, "folder", None), str | Path):
+        return find_predictor(folder)
+    if callable(model) or isinstance(model, PredictsFromHeights):
+        return OwnModel(model)
+    raise InputError(
+        f"a model is a name, a folder, what `train` and `calibrate` return, a function of slopes, roughness and speed, "
+        f"or an object with `predict`; got {type(model).__name__}"
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -219,8 +231,8 @@ def evaluate(
         The heightmap that the runs were driven on. Not with `sites` or `campaign`.
     sites : sequence of tuple, optional
         Several heightmaps and the runs on each, as in `train`.
-    model : str, Path or Model, optional
-        "default", "physics", a model's folder, or what `train` and `calibrate` return.
+    model : str, Path, Model, callable or object with `predict`, optional
+        As of `costmap`.
 
     Returns
     -------
@@ -237,8 +249,7 @@ def evaluate(
         If there is no such model.
     """
     from joulemap.model.training.evaluation import evaluate_on_sites
-    from joulemap.service.models import find_predictor
 
-    predictor = find_predictor(model_folder(model))
+    predictor = predictor_of(model)
     given = sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot)
     return Evaluation(evaluate_on_sites(predictor, given, charge=wanted.charge))

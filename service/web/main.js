@@ -84,7 +84,7 @@ async function openCostmap(asked, { changes = {}, seen } = {}) {
 
 async function openGround({ heightmap, costmap, sample }) {
   try {
-    if (costmap?.status === "done") { await openCostmap(costmap, { changes: sample ? { start: about.sample.start, goal: about.sample.goal } : {} }); return; }
+    if (costmap?.status === "done") { await openCostmap(costmap, { changes: sample ? ofSample() : {} }); return; }
     const here = heightmap ?? await ask(`v1/heightmaps/${costmap.heightmap_id}`);
     set({ costmap: null, layers: null, heightmap: here, ground: [], start: null, goal: null, stops: [], before: null });
     document.body.classList.remove("has-map");
@@ -101,6 +101,7 @@ const toRoute = () => { routed = now.costmap.id; choose(by("tab-route")); };
 on("answer", () => { if (now.answer && routed !== now.costmap.id) toRoute(); });
 
 let about = null, sampleOpen = false;
+const ofSample = () => { const { start, goal, capacity_wh } = about.sample; return { start, goal, battery: { ...now.battery, capacity_wh } }; };
 
 async function begin() {
   const asked = link.read();
@@ -110,7 +111,7 @@ async function begin() {
   knownGround.use(about.kinds);
   routePanel.start(about.planners);
   mapPanel.use(about, costmap => {
-    const changes = sampleOpen ? { start: about.sample.start, goal: about.sample.goal } : {};
+    const changes = sampleOpen ? ofSample() : {};
     sampleOpen = false;
     openCostmap(costmap, { changes }).catch(error => ground.welcome(error.message));
   });

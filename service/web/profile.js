@@ -48,7 +48,7 @@ function show() {
   const here = by("profile"), curves = by("curves"), answer = now.answer, empty = !answer?.profile?.length;
   here.hidden = !now.costmap;
   here.classList.toggle("empty", empty);
-  const wide = here.clientWidth - 26, narrow = wide < 640, tall = narrow ? 3 * LOW : TALL;
+  const wide = Math.max(here.clientWidth - 26, 240), narrow = wide < 640, tall = narrow ? 3 * LOW : TALL;
   if (empty) { // of the same height, so that the map does not move when a route comes
     dot.remove();
     rows = [];

@@ -29,6 +29,7 @@ def sample(browser: Any, address: str) -> str:
         tab.drawn()
         assert "the battery lasts" in tab.text("#answer").lower()
         assert re.search(r"saves [\d.,]+ Wh \(\d", tab.text("#answer"))
+        assert float(tab.text("#answer tbody tr:first-child").split("%")[0].split()[-1]) > 20.0  # of the battery
         tab.page.wait_for_function("() => location.hash.includes('to=')")
         return tab.page.evaluate("location.hash")
 

@@ -66,6 +66,10 @@ def view_3d() -> HTMLResponse:
     return _page("view3d.html", VIEW_3D_POLICY)
 
 
+SAMPLE = {"name": "joulemap sample", "start": SAMPLE_START, "goal": SAMPLE_GOAL, "capacity_wh": 6.0}
+"""What the page opens first: twice the energy of its route, so that the battery's curve tells something [Wh]."""
+
+
 @router.get("/page/start.json")
 def start(request: Request, service: ServiceDep) -> JSONResponse:
     """What the page has to know before it asks anything: what this service can do, the sample, the robot's fields."""
@@ -81,7 +85,7 @@ def start(request: Request, service: ServiceDep) -> JSONResponse:
             "robot": fields["RobotIn"]["properties"],
             "kinds": {name: kind.rolling_resistance for name, kind in library().items()},
             "formats": formats_in_words(),
-            "sample": {"start": SAMPLE_START, "goal": SAMPLE_GOAL, "name": "joulemap sample"},
+            "sample": SAMPLE,
             "plotly": plotly_version(),
             "basemap": {"url": url, "attribution": settings.basemap_attribution} if url else None,
         },
