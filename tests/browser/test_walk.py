@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import joulemap as jm
 from joulemap.model.errors import InputError, NoRouteError
 from joulemap.model.terrain.writers import write_geotiff
 from tests.browser.chromium import opened
-from tests.service.conftest import GOAL, IN_HOLE, START, hill
+from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, hill
 from tests.service.test_cli import joulemap
 
 BESIDE = [START[0] + 10.0, START[1] - 8.0]
@@ -55,6 +56,10 @@ def test_every_face_gives_the_same_answers(browser: Any, address: str, tmp_path:
     assert ground.plan(START, GOAL, avoid=mask).energy_j >= 0.998 * energy_j
     with pytest.raises((InputError, TypeError), match="mass_kg"):
         jm.Robot(mass=3)  # type: ignore[call-arg]
+    assert pickle.loads(pickle.dumps(ground)).plan(START, GOAL).energy_j == pytest.approx(energy_j)
+    own = jm.costmap(dem, model=lambda along, across, roughness, speed: 60.0 + 340.0 * along)
+    side_by_side = jm.compare({"equation 5": ground, "own": own}, START, GOAL)
+    assert side_by_side.routes["equation 5"].energy_j == pytest.approx(energy_j)
 
     # over HTTP
     with httpx.Client(base_url=address, timeout=300.0) as http:
@@ -76,6 +81,12 @@ def test_every_face_gives_the_same_answers(browser: Any, address: str, tmp_path:
         for step in ("map", "route", "runs"):
             tab.page.click(f"#tab-{step}")
             assert tab.page.is_visible("#legend #scale")
+        assert "step" in tab.text("#legend")  # the wall, in its own colour
+        tab.page.mouse.move(*tab.place(START[0] + 7.5, NORTH - 3.5))
+        tab.page.wait_for_function("() => document.getElementById('readout').textContent.includes('step')")
+        tab.page.click("#view-3d")
+        tab.page.frame_locator("iframe").locator("#view[data-drawn]").wait_for()
+        tab.page.click("#dialog-3d button")
         tab.page.click("#tab-save")
         with tab.page.expect_download() as waiting:  # the route that is shown, without planning it again
             tab.page.click("#step-save button:has-text('GPX')")
