@@ -22,7 +22,7 @@ from joulemap.model.terrain.layers import Layers
 from joulemap.model.terrain.windows import Ground, overview
 from joulemap.model.traction import TractionSource
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.lattice.io import LatticeFolder
+from joulemap.planner.lattice.folder import LatticeFolder
 from joulemap.planner.lattice.limits import ground_limits, noise_warnings, size_warnings
 from joulemap.planner.lattice.obstacles import Obstacles, squares_per_cell
 from joulemap.planner.lattice.steps import shows_obstacles

@@ -18,7 +18,8 @@ from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.avoid import Polygon, without
 from joulemap.planner.lattice.checksums import damaged
 from joulemap.planner.lattice.chunks import Chunks
-from joulemap.planner.lattice.io import OBSTACLES, obstacles_of, open_group
+from joulemap.planner.lattice.layout import OBSTACLES
+from joulemap.planner.lattice.loading import obstacles_of, open_group
 from joulemap.planner.lattice.obstacles import Obstacles, reach_m
 
 _FILLS: dict[str, float] = {

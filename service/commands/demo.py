@@ -20,7 +20,7 @@ from scipy import ndimage
 from joulemap.model.errors import HeightmapError, JoulemapError
 from joulemap.model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START, sample_terrain
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.planner.route import price_route
 from joulemap.service.client import Client
 from joulemap.service.commands.answers import say_feasibility, say_map, say_path, served_map

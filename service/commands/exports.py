@@ -47,7 +47,7 @@ def export(
 
     `joulemap export dem.zarr --out site.cog.tif`
     """
-    from joulemap.planner.lattice.io import load_lattice
+    from joulemap.planner.lattice.loading import load_lattice
     from joulemap.service.exports.formats import format_of
     from joulemap.service.exports.maps import MAP_FORMATS, ZIP, save_map
 

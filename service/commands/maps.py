@@ -82,7 +82,7 @@ class MapFiles:
 
     def check(self) -> None:
         """Refuse a folder that is there already, or that none can be made at."""
-        from joulemap.planner.lattice.io import LatticeFolder
+        from joulemap.planner.lattice.folder import LatticeFolder
 
         if self.out is not None:
             refuse_to_replace(self.out, overwrite=self.overwrite)
@@ -92,7 +92,8 @@ class MapFiles:
         """Write the other files of a cost map; it is only read, as a whole, when one is wanted."""
         if self.geotiff is None and self.npz is None and self.picture is None:
             return
-        from joulemap.planner.lattice.io import export_npz, load_lattice
+        from joulemap.planner.lattice.loading import load_lattice
+        from joulemap.planner.lattice.npz import export_npz
         from joulemap.service.exports.maps import save_map
         from joulemap.service.render.pictures import lattice_image
 

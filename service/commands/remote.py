@@ -140,7 +140,7 @@ def refuse_local(**options: Any) -> None:
 
 def unpack(zipped: bytes, folder: Path) -> None:
     """Write a zipped cost map into a folder, whole or not at all; a cost map that is there is replaced."""
-    from joulemap.planner.lattice.io import LatticeFolder
+    from joulemap.planner.lattice.folder import LatticeFolder
 
     made = LatticeFolder(folder)
     with made.whole_or_nothing():

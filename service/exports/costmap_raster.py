@@ -16,7 +16,7 @@ from rasterio.transform import Affine
 
 from joulemap.model.frames import heading_bins
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.lattice.io import metadata_json
+from joulemap.planner.lattice.npz import metadata_json
 
 _TILE = 256  # pixels: a window of a big map is read without the rest of its rows
 _Band = tuple[NDArray[np.float32], str, str, dict[str, str]]

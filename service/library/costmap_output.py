@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import ConflictError
-from joulemap.planner.lattice.io import save_lattice
+from joulemap.planner.lattice.folder import save_lattice
 from joulemap.service.analysis.cost_lattices import summarise
 from joulemap.service.exports.maps import save_map
 from joulemap.service.library.costmap_base import CostMapBase

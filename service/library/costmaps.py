@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import InputError
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.planner.on_disk.tiled_table import DEFAULT_MEMORY
 from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.service.analysis.cost_lattices import make_cost_lattice

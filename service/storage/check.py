@@ -19,7 +19,7 @@ from sqlalchemy.orm import Session
 from joulemap.model.errors import DamagedError, JoulemapError
 from joulemap.model.terrain.readers import read_sent
 from joulemap.planner.lattice.checked_store import CheckedStore
-from joulemap.planner.lattice.io import open_group
+from joulemap.planner.lattice.loading import open_group
 from joulemap.service.storage.files import MODEL_SUMS, bytes_of, changed, remove, sums_of
 from joulemap.service.storage.kept import now
 from joulemap.service.storage.object_access import LOST

@@ -13,7 +13,8 @@ from sqlalchemy.exc import IntegrityError
 
 from joulemap.model.errors import ConflictError, NotFoundError
 from joulemap.planner.lattice import CostLattice, checksums
-from joulemap.planner.lattice.io import LatticeFolder, load_lattice
+from joulemap.planner.lattice.folder import LatticeFolder
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.service.storage.files import sums_of
 from joulemap.service.storage.kept import Kept, now
 from joulemap.service.storage.tables import (

@@ -16,7 +16,7 @@ from joulemap.model.errors import DamagedError, InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner.lattice.io import open_group
+from joulemap.planner.lattice.loading import open_group
 from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.planner.lattice.tiles import Tiling
 

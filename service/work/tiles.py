@@ -23,7 +23,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.readers import open_ground
 from joulemap.planner.figures import figures_of, joined_figures
 from joulemap.planner.lattice.build import build_tile, knows_spread, provenance_of, squares_of
-from joulemap.planner.lattice.io import LatticeFolder
+from joulemap.planner.lattice.folder import LatticeFolder
 from joulemap.service.analysis.cost_lattices import prepare_build
 from joulemap.service.storage.stats import frame_values
 from joulemap.service.work.stored_base import with_stored_base

@@ -31,7 +31,7 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
     """
     from joulemap.model.runs.cutting import cut_segments
     from joulemap.model.runs.reader import run_of
-    from joulemap.planner.lattice.io import save_lattice
+    from joulemap.planner.lattice.folder import save_lattice
     from joulemap.planner.route_planner import PLANNERS, RouteOptions, RoutePlanner
     from joulemap.planner.stored_planner import StoredPlanner
 

@@ -26,7 +26,7 @@ def main() -> None:
             tab.page.click("#sample")
             tab.drawn()
             tab.page.wait_for_function("() => location.hash.includes('to=')")
-            link = tab.page.evaluate("location.hash").split("&at=")[0].replace("battery=1", "battery=0.5")
+            link = tab.page.evaluate("location.hash").split("&at=")[0].replace("battery=1,0.2,6", "battery=1,0.2,9")
         for name, options in (("page", {}), ("page-phone", {"viewport": PHONE, "color_scheme": "dark"})):
             with opened(browser, url, hash=f"{link}&back=1", **options) as tab:
                 tab.page.set_default_timeout(200_000)

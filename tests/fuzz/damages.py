@@ -32,7 +32,8 @@ from joulemap.model.loop.forms.baseline_change import RollingResistance
 from joulemap.model.loop.forms.climbing import Climbing
 from joulemap.model.loop.terms import Term
 from joulemap.planner.lattice import Blocked
-from joulemap.planner.lattice.io import LatticeFolder, load_lattice
+from joulemap.planner.lattice.folder import LatticeFolder
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.planner.lattice.tiles import Tiling
 from joulemap.service.loop.calibration import BASE_FOLDER
 from joulemap.service.models import load_model

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import DamagedError
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from tests.fuzz.damages import KINDS, answers, make_map, make_older
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from joulemap.model.errors import InputError, JoulemapError, NegativeCycleError
 from joulemap.planner.any_angle.region import region_between
 from joulemap.planner.grid.search import grid_search
-from joulemap.planner.lattice.io import save_lattice
+from joulemap.planner.lattice.folder import save_lattice
 from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.planner.on_disk.coarse import coarse_level
 from joulemap.planner.on_disk.tiled_table import tiled_table

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from joulemap.planner.lattice import tiles
-from joulemap.planner.lattice.io import LatticeFolder
+from joulemap.planner.lattice.folder import LatticeFolder
 from joulemap.service.work import tiles as work
 
 NAME = "JOULEMAP_TEST_WORKERS"

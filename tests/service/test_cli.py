@@ -17,7 +17,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.cli import app
 from joulemap.service.commands.console import parse_point

@@ -18,7 +18,7 @@ import joulemap as jm
 from joulemap.model import errors
 from joulemap.model.errors import InputError
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.service.cli import app
 from joulemap.service.client import service as client_of_a_service
 from joulemap.service.client.connection import Connection, error_of, tree_of

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from joulemap.model.errors import NotFoundError
-from joulemap.planner.lattice import io as lattice_io
+from joulemap.planner.lattice import folder as lattice_folder
 from joulemap.planner.lattice import tiles as tiling
-from joulemap.planner.lattice.io import LatticeFolder
+from joulemap.planner.lattice.folder import LatticeFolder
 from joulemap.service.jobs.costmaps import order_of
 from joulemap.service.jobs.engine import Jobs
 from joulemap.service.storage.store import Store
@@ -26,7 +26,7 @@ STEPS = [
     (LatticeFolder, "lay_out"),
     (LatticeFolder, "write"),
     (LatticeFolder, "finish"),
-    (lattice_io, "_describe"),
+    (lattice_folder, "_describe"),
     (tiles, "_write"),
     (Path, "rename"),
     (Path, "replace"),

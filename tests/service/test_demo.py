@@ -21,7 +21,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START
 from joulemap.planner.lattice.build import build_lattice
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.commands.demo import free_corners
 from tests.reference.lattices import price_world_path

@@ -13,7 +13,7 @@ import rasterio
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 
 # (`ru_maxrss` of a process begins at that of the process that started it.)
 MEASURED = """

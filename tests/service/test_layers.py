@@ -19,7 +19,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice import Blocked
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.service.cli import app
 from joulemap.service.commands.remote import unpack
 from joulemap.service.storage.store import Store

@@ -16,7 +16,7 @@ from rasterio.io import MemoryFile
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.service.schemas.planning import FeasibilityOut, PathOut
 from tests.reference.lattices import price_world_path
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST, hill

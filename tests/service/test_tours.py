@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from tests.reference.lattices import price_world_path
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST
 from tests.service.test_bad_input import check_problem

@@ -19,7 +19,7 @@ from joulemap.model.errors import HeightmapError
 from joulemap.model.robot import Robot
 from joulemap.planner.lattice import Blocked
 from joulemap.planner.lattice.build import build_lattice
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.service.cli import app
 from joulemap.service.http.app import create_app
 from tests.service.conftest import settings_for

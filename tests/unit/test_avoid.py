@@ -7,7 +7,7 @@ import pytest
 
 from joulemap.model.errors import BlockedError, InputError, NoRouteError, PointError
 from joulemap.planner.lattice import Blocked
-from joulemap.planner.lattice.io import save_lattice
+from joulemap.planner.lattice.folder import save_lattice
 from joulemap.planner.route_planner import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
 from tests.reference.lattices import ascii_lattice, random_lattice

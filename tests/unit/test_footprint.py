@@ -12,7 +12,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked
 from joulemap.planner.lattice.build import build_lattice, write_lattice
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.planner.lattice.tiles import Tiling
 from joulemap.planner.pricing.integrator import leg_prices

@@ -14,7 +14,9 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.build import build_lattice
-from joulemap.planner.lattice.io import export_npz, load_lattice, save_lattice
+from joulemap.planner.lattice.folder import save_lattice
+from joulemap.planner.lattice.loading import load_lattice
+from joulemap.planner.lattice.npz import export_npz
 from joulemap.planner.pricing.integrator import leg_prices
 
 ROBOT = Robot(max_grade_deg=20.0, max_cross_slope_deg=15.0)

@@ -14,7 +14,8 @@ import zarr
 
 from joulemap.model.robot import Robot
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.lattice.io import LatticeFolder, load_lattice, save_lattice
+from joulemap.planner.lattice.folder import LatticeFolder, save_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.planner.lattice.tiles import Tiling
 from joulemap.planner.lattice.xarray_dataset import lattice_dataset
 from tests.reference.lattices import plane_lattice

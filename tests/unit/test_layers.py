@@ -22,7 +22,7 @@ from joulemap.model.terrain.layers.kinds import library
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice import Blocked
 from joulemap.planner.lattice.build import build_lattice, write_lattice
-from joulemap.planner.lattice.io import load_lattice
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.planner.lattice.tiles import Tiling
 
 ROBOT = Robot(mass_kg=40.0, rolling_resistance=0.05, idle_power_w=10.0, width_m=0.5, length_m=0.5, tracking_std_m=0.0)

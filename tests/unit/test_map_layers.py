@@ -16,7 +16,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.build import build_lattice
-from joulemap.planner.lattice.io import save_lattice
+from joulemap.planner.lattice.folder import save_lattice
 from joulemap.planner.lattice.stored_lattice import StoredLattice
 from joulemap.service.render import map_pieces, raster_shading
 from joulemap.service.render.map_layers import (

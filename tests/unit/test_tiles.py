@@ -22,7 +22,8 @@ from joulemap.model.terrain.readers import open_ground
 from joulemap.model.terrain.windows import HeightmapFile, overview
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice.build import build_lattice, write_lattice
-from joulemap.planner.lattice.io import LatticeFolder, load_lattice
+from joulemap.planner.lattice.folder import LatticeFolder
+from joulemap.planner.lattice.loading import load_lattice
 from joulemap.planner.lattice.tiles import Tiling
 from joulemap.service.library.heightmaps import read_heightmap
 
