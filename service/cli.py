@@ -20,6 +20,7 @@ from joulemap.service.commands import (
     logs,
     maps,
     models,
+    paths,
     route_questions,
     services,
     simulation,
@@ -92,8 +93,8 @@ for _panel, _commands in (
         (
             heightmaps.info,
             maps.costmap,
-            maps.path,
-            maps.feasibility,
+            paths.path,
+            paths.feasibility,
             following.follow,
             route_questions.tour,
             route_questions.matrix,

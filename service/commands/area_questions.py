@@ -10,7 +10,7 @@ import typer
 
 from joulemap.service.commands.asked import Wanted
 from joulemap.service.commands.console import JsonFile, Output, parse_point, write_file
-from joulemap.service.commands.maps import MapFolder
+from joulemap.service.commands.options import there
 from joulemap.service.commands.remote import MapOrId, Remote
 from joulemap.service.words import duration_words, energy_words
 
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from joulemap.model.frames import GridFrame
 
 
+MapFolder = Annotated[
+    Path, typer.Argument(metavar="MAP.zarr", callback=there, help="A cost map made by `joulemap costmap`.")
+]
 _SUFFIXES = (".geojson", ".tif", ".png")
 
 
