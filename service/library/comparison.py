@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import BlockedError, InputError
 from joulemap.planner.route import Route, price_route
-from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.planned_route import PlannedRoute
 from joulemap.service.library.route_output import route_numbers
+from joulemap.service.library.shown import Shown
 from joulemap.service.words import energy_words, route_words
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison:
+class Comparison(Shown):
     """The cheapest routes of several cost maps, and what each of them costs on the others.
 
     Attributes
@@ -36,6 +36,9 @@ class Comparison:
 
     routes: dict[str, PlannedRoute]
     energies_j: NDArray[np.float64]
+
+    def _title(self) -> str:
+        return "Routes side by side"
 
     def _rows(self) -> dict[str, str]:
         rows = {name: route_words(route_numbers(route.route)) for name, route in self.routes.items()}
@@ -50,12 +53,6 @@ class Comparison:
 
     def __repr__(self) -> str:
         return f"<Comparison of {', '.join(self.routes)}>"
-
-    def __str__(self) -> str:
-        return text_table("Routes side by side", self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table("Routes side by side", self._rows())
 
 
 def compare(costmaps: Mapping[str, CostMap], start: Point, goal: Point, **how: Any) -> Comparison:

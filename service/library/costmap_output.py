@@ -11,14 +11,14 @@ from joulemap.planner.lattice.folder import save_lattice
 from joulemap.service.analysis.cost_lattices import summarise
 from joulemap.service.exports.maps import save_map
 from joulemap.service.library.costmap_base import CostMapBase
-from joulemap.service.library.html import html_table, text_table
+from joulemap.service.library.shown import Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from xarray import Dataset
 
 
-class CostMapOutput(CostMapBase):
+class CostMapOutput(Shown, CostMapBase):
     """A cost map as a picture, an array, a file or a table."""
 
     def plot(self, ax: Axes | None = None, *, view: str | None = None, heading_deg: float | None = None) -> Axes:
@@ -166,9 +166,3 @@ class CostMapOutput(CostMapBase):
 
     def __repr__(self) -> str:
         return f"<{self._title()}, robot {self.robot.name}>"
-
-    def __str__(self) -> str:
-        return text_table(self._title(), self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table(self._title(), self._rows())

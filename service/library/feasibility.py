@@ -9,8 +9,8 @@ from joulemap.model.errors import InputError
 from joulemap.model.robot import Robot
 from joulemap.planner.route import Route
 from joulemap.planner.verdict.budget import Verdict, battery_along
-from joulemap.service.library.html import html_table
 from joulemap.service.library.route_output import route_numbers
+from joulemap.service.library.shown import Shown
 from joulemap.service.words import duration_words, route_words, verdict_words
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Feasibility:
+class Feasibility(Shown):
     """Whether the battery lasts for a task. It is true in a condition exactly when it does.
 
     Attributes
@@ -115,9 +115,11 @@ class Feasibility:
     def __str__(self) -> str:
         return "\n".join([verdict_words(self.verdict), self.text, *(f"Warning: {words}" for words in self.warnings)])
 
-    def _repr_html_(self) -> str:
+    def _title(self) -> str:
+        return verdict_words(self.verdict)
+
+    def _rows(self) -> dict[str, str]:
         routes = {"way out": self.route_out, "way back": self.route_back}
         rows = {name: route_words(route_numbers(route)) for name, route in routes.items() if route is not None}
         rows["time"] = duration_words(sum(r.duration_s for r in routes.values() if r is not None))
-        rows |= {"warning": "; ".join(self.warnings)} if self.warnings else {}
-        return html_table(verdict_words(self.verdict), rows)
+        return rows | ({"warning": "; ".join(self.warnings)} if self.warnings else {})

@@ -12,8 +12,8 @@ from joulemap.model.energy.own_model import Formula, OwnModel, PredictsFromHeigh
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import ConflictError, InputError
 from joulemap.service.library.heightmaps import GroundLike, RobotLike
-from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.run_files import RunsLike
+from joulemap.service.library.shown import Shown
 from joulemap.service.library.sites import SiteLike, sites_given
 from joulemap.service.models import DEFAULT_MODEL, find_predictor
 from joulemap.service.questions.asking import asks
@@ -52,7 +52,7 @@ def predictor_of(model: ModelLike) -> Predictor:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Model:
+class Model(Shown):
     """A model that was trained or calibrated. It may be given wherever a model is asked for.
 
     Attributes
@@ -76,6 +76,9 @@ class Model:
         """What the training warned of."""
         return list(self.facts.get("warnings", []))
 
+    def _title(self) -> str:
+        return f"Model {self.folder}"
+
     def _rows(self) -> dict[str, str]:
         facts = self.facts
         return {
@@ -87,12 +90,6 @@ class Model:
 
     def __repr__(self) -> str:
         return f"<Model {self.folder}: held-out error {self.facts['held_out']['mean_relative_error']:.1%} a metre>"
-
-    def __str__(self) -> str:
-        return text_table(f"Model {self.folder}", self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table(f"Model {self.folder}", self._rows())
 
 
 @asks(TrainingOptions)
@@ -167,7 +164,7 @@ def train(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Evaluation:
+class Evaluation(Shown):
     """How well a model predicts measured runs.
 
     Attributes
@@ -193,6 +190,9 @@ class Evaluation:
         """Why these errors may not hold elsewhere."""
         return list(self.document["warnings"])
 
+    def _title(self) -> str:
+        return f"Evaluation of {self.document['model']}"
+
     def _rows(self) -> dict[str, str]:
         found = self.document
         rows = {
@@ -204,12 +204,6 @@ class Evaluation:
 
     def __repr__(self) -> str:
         return f"<Evaluation of {self.document['model']}: {self.mean_relative_error:.1%} a metre>"
-
-    def __str__(self) -> str:
-        return text_table(f"Evaluation of {self.document['model']}", self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table(f"Evaluation of {self.document['model']}", self._rows())
 
 
 @asks(EvaluationOptions)

@@ -13,8 +13,8 @@ from joulemap.planner.answers import Plan
 from joulemap.planner.route import Profile, Route
 from joulemap.service.analysis.objectives import Weighed
 from joulemap.service.exports.track import Track, track_of_plan
-from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.route_output import Planned, geodataframe, route_numbers
+from joulemap.service.library.shown import Shown
 from joulemap.service.words import route_words, saving_words
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlannedRoute(Planned):
+class PlannedRoute(Shown, Planned):
     """The energy-optimal route between two places, and the shortest one beside it.
 
     Attributes
@@ -187,6 +187,9 @@ class PlannedRoute(Planned):
             self.route.crs,
         )
 
+    def _title(self) -> str:
+        return f"Route, found by {self.found.planner}"
+
     def _rows(self) -> dict[str, str]:
         route = route_numbers(self.route)
         rows = {"energy-optimal": route_words(route), "shortest": route_words(route_numbers(self.shortest))}
@@ -197,9 +200,3 @@ class PlannedRoute(Planned):
 
     def __repr__(self) -> str:
         return f"<PlannedRoute: {route_words(route_numbers(self.route))}>"
-
-    def __str__(self) -> str:
-        return text_table(f"Route, found by {self.found.planner}", self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table(f"Route, found by {self.found.planner}", self._rows())

@@ -22,7 +22,7 @@ from joulemap.model.runs.formats.columns import named
 from joulemap.model.runs.mapping import MappingLike, read_mapping
 from joulemap.model.runs.run import Run
 from joulemap.service.intake.trial import refuse_deadly
-from joulemap.service.library.html import html_table, text_table
+from joulemap.service.library.shown import Shown
 from joulemap.service.words import duration_words, runs_words
 
 _NUMBERS = count(1)
@@ -89,7 +89,7 @@ RUN_SUFFIXES = suffixes()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Runs:
+class Runs(Shown):
     """Measured runs, read and repaired.
 
     Attributes
@@ -121,6 +121,9 @@ class Runs:
     def __len__(self) -> int:
         return len(self.runs)
 
+    def _title(self) -> str:
+        return runs_words(len(self))
+
     def _rows(self) -> dict[str, str]:
         def _repaired(run: Run) -> int:  # what a slow sensor writes again is no fault
             return sum(count for rule, count in run.repairs.items() if not rule.startswith("held_"))
@@ -134,12 +137,6 @@ class Runs:
 
     def __repr__(self) -> str:
         return f"<Runs: {runs_words(len(self))}, {sum(len(run) for run in self.runs):,} rows>"
-
-    def __str__(self) -> str:
-        return text_table(runs_words(len(self)), self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table(runs_words(len(self)), self._rows())
 
 
 RunsLike = Any
