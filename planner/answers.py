@@ -73,13 +73,13 @@ class RoundTrip:
     Attributes
     ----------
     legs : tuple of Route
-        n routes, from each stop to the next and from the last one home.
+        From each stop to the next, and from the last one home unless the tour is one way.
     order : tuple of int
         (n,) which stop is visited when, home (stop 0) first.
     grid_energy_j : float
         Energy of the tour over grid moves [J].
     bound_j : float
-        Proven lower bound of it over all orders of the stops [J].
+        Proven lower bound of it over all orders of the stops that were asked for [J].
     notes : tuple of str
         Where stops were moved to, if any.
     """
@@ -96,6 +96,11 @@ class RoundTrip:
         return sum(leg.energy_j for leg in self.legs)
 
     @property
+    def hops(self) -> list[tuple[int, int]]:
+        """From which stop to which each leg leads."""
+        return list(zip(self.order, (*self.order[1:], self.order[0]), strict=True))[: len(self.legs)]
+
+    @property
     def proven(self) -> bool:
         """Whether no other order costs less over grid moves."""
         return self.grid_energy_j <= self.bound_j + 1e-6 * abs(self.bound_j) + 1e-3
@@ -104,18 +109,18 @@ class RoundTrip:
         return f"RoundTrip({self._total()}, order {self._order()})"
 
     def __str__(self) -> str:
-        legs = zip(self.order, (*self.order[1:], self.order[0]), self.legs, strict=True)
+        legs = zip(self.hops, self.legs, strict=True)
         lines = [
-            f"round trip: {self._total()}",
+            f"tour: {self._total()}",
             f"order: {self._order()}" + (", proven to be the best" if self.proven else ""),
-            *(f"stop {here} to stop {there}: {leg.in_words()}" for here, there, leg in legs),
+            *(f"stop {here} to stop {there}: {leg.in_words()}" for (here, there), leg in legs),
             *(f"note: {note}" for note in self.notes),
         ]
         return "\n".join(lines)
 
     def _total(self) -> str:
         length = sum(leg.length_m for leg in self.legs)
-        return f"{len(self.legs)} stops, {length:.1f} m, {energy_words(self.energy_j)}"
+        return f"{len(self.order)} stops, {length:.1f} m, {energy_words(self.energy_j)}"
 
     def _order(self) -> str:
-        return " - ".join(str(stop) for stop in (*self.order, self.order[0]))
+        return " - ".join(str(stop) for stop in (self.order[0], *(there for _, there in self.hops)))

@@ -314,11 +314,13 @@ class RoutePlanner(FieldPlanner):
         *,
         neighbours: int = 16,
         refine: bool = True,
+        in_order: bool = False,
+        one_way: bool = False,
         time_limit_s: float = 10.0,
         snap: bool = False,
         progress: Callable[[float], None] | None = None,
     ) -> RoundTrip:
-        """Return the cheapest round trip from the first stop over all others, in the order that costs least.
+        """Return the cheapest tour from the first stop over all others, in the order that costs least or as given.
 
         Parameters
         ----------
@@ -328,6 +330,10 @@ class RoutePlanner(FieldPlanner):
             Moves per cell.
         refine : bool, default True
             Whether to improve each leg at any angle.
+        in_order : bool, default False
+            Whether the stops are visited in the order in which they are given.
+        one_way : bool, default False
+            Whether the tour ends at the last of the given stops.
         time_limit_s : float, default 10.0
             Longest time for the search of the order [s]; the paths between stops come before it.
         snap : bool, default False
@@ -357,7 +363,9 @@ class RoutePlanner(FieldPlanner):
         notes: list[str] = []
         stops = np.array([self._end(f"stop {k}", xy, notes, snap) for k, xy in enumerate(stops_xy)])
         table = self._table(neighbours, distance=False)
-        found = cheapest_tour(self.lattice, table, stops, time_limit_s=time_limit_s, progress=progress)
+        found = cheapest_tour(
+            self.lattice, table, stops, in_order=in_order, one_way=one_way, time_limit_s=time_limit_s, progress=progress
+        )
         ways = self._legs([leg.points for leg in found.paths], refine)
         order = tuple(int(stop) for stop in found.order)
         legs = tuple(self._route(way, []) for way in ways)

@@ -1,4 +1,4 @@
-"""Round trips: from home to several places and back, in the order that costs least."""
+"""Tours: from home to several places, and back, in the order that costs least or as given."""
 
 from __future__ import annotations
 
@@ -19,28 +19,25 @@ from joulemap.planner.pricing.moves import MoveTable
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tour:
-    """The cheapest round trip over grid moves.
+    """The cheapest tour over grid moves.
 
     Attributes
     ----------
     order : ndarray of int, (n,)
         Which stop is visited when, home (stop 0) first.
     paths : list of GridPath
-        n paths, from each stop to the next, the last one back home.
+        From each stop to the next, the last one back home unless the tour is one way.
     energy_j : float
         Their sum [J].
     bound_j : float
         Proven lower bound of a tour over these moves [J]; equal to `energy_j` (to rounding) when the order is proven
-        to be the best.
-    energies_j : ndarray of float, (n, n)
-        Energy from each stop (row) to each other one (column) [J].
+        to be the best, or was given.
     """
 
     order: NDArray[np.int64]
     paths: list[GridPath]
     energy_j: float
     bound_j: float
-    energies_j: NDArray[np.float64]
 
 
 def cheapest_tour(
@@ -48,15 +45,18 @@ def cheapest_tour(
     table: MoveTable,
     stops: Points,
     *,
+    in_order: bool = False,
+    one_way: bool = False,
     time_limit_s: float = 10.0,
     progress: Callable[[float], None] | None = None,
 ) -> Tour:
-    """Return the cheapest round trip from the first stop over all others.
+    """Return the cheapest tour from the first stop over all others.
 
     What turning on arrival at a stop costs is not counted.
 
     `lattice`: prices and limits; `table`: priced moves of the lattice; `stops` (n, 2): fractional (row, col) of 2 to
-    `MAX_STOPS` stops; `time_limit_s`: longest time for the search of the order [s]; `progress`: called with the share
+    `MAX_STOPS` stops; `in_order`: visit them as they are given; `one_way`: end at the last of them and do not come
+    home; `time_limit_s`: longest time for the search of the order [s]; `progress`: called with the share
     that is done, 0..1. Result: the order and the paths. Raises InputError if the number of stops is out of range, or
     OR-tools is not installed. Raises BlockedError if no leg reaches a stop. Raises NoRouteError if no route joins two
     stops; the message names them. Raises BusyError if the time limit leaves no tour.
@@ -67,15 +67,17 @@ def cheapest_tour(
     """
     if not 2 <= len(stops) <= MAX_STOPS:
         raise InputError(f"a tour has 2 to {MAX_STOPS} stops, got {len(stops)}", stops=len(stops), limit=[2, MAX_STOPS])
+    last = len(stops) - 1
     energies = np.zeros((len(stops), len(stops)))
     paths: dict[tuple[int, int], GridPath] = {}
     for j, goal in enumerate(stops):
-        field = field_towards(lattice, table, goal[None])
-        for i, start in enumerate(stops):
-            if i == j:
-                continue
+        before = [(j or last + 1) - 1] if in_order else [i for i in range(last + 1) if i != j]
+        before = [i for i in before if not (one_way and j == 0)]
+        field = field_towards(lattice, table, goal[None]) if before else None
+        for i in before:
+            assert field is not None
             try:
-                paths[i, j] = field.path_from(start)
+                paths[i, j] = field.path_from(stops[i])
             except NoRouteError as error:
                 raise NoRouteError(
                     f"no route leads from stop {i} to stop {j} of the tour within the limits of {lattice.robot.name}",
@@ -84,15 +86,19 @@ def cheapest_tour(
             energies[i, j] = paths[i, j].energy_j
         if progress is not None:
             progress((j + 1) / (len(stops) + 1))
-    order, bound = _best_order(energies, time_limit_s)
-    legs = [paths[int(i), int(j)] for i, j in zip(order, np.roll(order, -1), strict=True)]
+    order, bound = (np.arange(last + 1), None) if in_order else _best_order(energies, time_limit_s, one_way=one_way)
+    hops = zip(order, np.roll(order, -1), strict=True)
+    legs = [paths[int(i), int(j)] for i, j in hops if (i, j) in paths]
     if progress is not None:
         progress(1.0)
-    return Tour(order, legs, float(sum(leg.energy_j for leg in legs)), bound, energies)
+    energy = float(sum(leg.energy_j for leg in legs))
+    return Tour(order, legs, energy, energy if bound is None else bound)
 
 
-def _best_order(energies_j: NDArray[np.float64], time_limit_s: float) -> tuple[NDArray[np.int64], float]:
-    """The cheapest circuit from stop 0, and a proven lower bound of its energy [J]."""
+def _best_order(
+    energies_j: NDArray[np.float64], time_limit_s: float, *, one_way: bool
+) -> tuple[NDArray[np.int64], float]:
+    """The cheapest circuit from stop 0, and a lower bound of its energy [J]; `one_way`: the last stop closes it."""
     try:
         from ortools.sat.python import cp_model
     except ImportError as error:
@@ -102,6 +108,8 @@ def _best_order(energies_j: NDArray[np.float64], time_limit_s: float) -> tuple[N
     model = cp_model.CpModel()
     arcs = [(i, j, model.new_bool_var(f"{i} to {j}")) for i in range(n) for j in range(n) if i != j]
     model.add_circuit(arcs)
+    if one_way:
+        model.add(sum(taken for i, j, taken in arcs if (i, j) == (n - 1, 0)) == 1)
     model.minimize(sum(round(energies_j[i, j] / unit_j) * taken for i, j, taken in arcs))
     solver = cp_model.CpSolver()
     solver.parameters.max_time_in_seconds = time_limit_s

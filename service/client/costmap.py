@@ -237,7 +237,7 @@ class ServedCostMap:
 
     @asks(TourRequest)
     def tour(self, wanted: TourRequest) -> TourOut:
-        """Find the round trip of least energy over several stops, home first.
+        """Find the tour of least energy over several stops, home first.
 
         Returns
         -------

@@ -29,15 +29,19 @@ def tour(
     route_files: PlannedFiles,
     remote: Remote,
 ) -> None:
-    """Find the **round trip of least energy** over several places: the order, the legs, and whether the battery lasts.
+    """Find the **tour of least energy** over several places: the order, the legs, and whether the battery lasts.
 
-    Needs the extra `tours` (OR-tools).
+    It returns to the first place, unless it is one way; the places keep their order where you ask for it.
+
+    The best order needs the extra `tours` (OR-tools).
 
     Example:
 
     `joulemap tour dem.zarr --stop 12,40 180,95 90,20 --charge 0.8 --out tour.geojson`
 
     `joulemap tour dem.zarr --stop 12,40 180,95 90,20 --charge 0.8 --reserve 0.2 --battery pack.toml`
+
+    `joulemap tour dem.zarr --stop 12,40 180,95 90,20 --in-order --one-way`
     """
     from joulemap.service.questions import tour as question
 
@@ -47,11 +51,12 @@ def tour(
 
 
 def _say_tour(output: Output, found: dict[str, Any], robot: str) -> None:
-    way = " -> ".join(str(k) for k in (*found["order"], 0))
+    order = found["order"]
+    hops = list(zip(order, (*order[1:], order[0]), strict=True))[: len(found["legs"])]
+    way = " -> ".join(str(k) for k in (order[0], *(there for _, there in hops)))
     output.say(f"for {robot}: {way}{'' if found['proven'] else ' (not proven the best)'}", head="Tour")
-    ends = zip(found["order"], (*found["order"][1:], 0), strict=True)
     output.table(
-        {f"{here} to {there}": route_words(leg) for (here, there), leg in zip(ends, found["legs"], strict=True)}
+        {f"{here} to {there}": route_words(leg) for (here, there), leg in zip(hops, found["legs"], strict=True)}
         | {"all": route_words(found)}
     )
     say_verdict(output, found["battery"])

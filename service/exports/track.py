@@ -109,10 +109,9 @@ def track_of_plan(plan: Plan, lattice: CostLattice, *, warnings: Sequence[str] =
 
 def track_of_tour(trip: RoundTrip, lattice: CostLattice, *, warnings: Sequence[str] = ()) -> Track:
     """Return a tour as a track. Result: a line for each leg, in the order of driving."""
-    ends = zip(trip.legs, trip.order, (*trip.order[1:], trip.order[0]), strict=True)
     lines = tuple(
         line_of(leg, TOUR_LEG, number=k, from_stop=here, to_stop=there)
-        for k, (leg, here, there) in enumerate(ends, start=1)
+        for k, (leg, (here, there)) in enumerate(zip(trip.legs, trip.hops, strict=True), start=1)
     )
     extra = {"warnings": [*warnings, *trip.notes]}
     return Track("joulemap tour", lines, trip.legs[0].crs, lattice.robot.speed_mps, lattice, extra)

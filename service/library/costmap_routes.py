@@ -62,12 +62,12 @@ class RouteQuestions(CostMapBase):
 
     @asks(TourRequest, "battery")
     def tour(self, wanted: TourRequest, *, progress: Callable[[float], None] | None = None) -> PlannedTour:
-        """Visit all stops and come home to the first one, in the order that takes least energy.
+        """Visit all stops, in the order that takes least energy or as given, and come home unless it is one way.
 
         Returns
         -------
         PlannedTour
-            Legs with energies in J. Needs the extra `tours`.
+            Legs with energies in J. Needs the extra `tours`, unless `in_order`.
 
         Raises
         ------

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlannedTour(Planned):
-    """A round trip over several stops in the order that takes least energy.
+    """A tour over several stops, in the order that takes least energy or as given.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class PlannedTour(Planned):
 
     @property
     def legs(self) -> tuple[Route, ...]:
-        """From each stop to the next, and home from the last."""
+        """From each stop to the next, and home from the last unless it is one way."""
         return self.found.legs
 
     @property
@@ -70,10 +70,12 @@ class PlannedTour(Planned):
         draw_lattice_ground(ax, self.lattice)
         for leg in self.legs:
             ax.plot(*leg.points[:, :2].T, color=OPTIMAL, lw=2.5, zorder=3)
-        for number, (leg, stop) in enumerate(zip(self.legs, self.order, strict=True)):
-            ax.plot(*leg.points[0, :2], "o", ms=15, mfc="white", mec=OPTIMAL, zorder=4)
-            name = "home" if number == 0 else str(stop)
-            ax.annotate(name, (leg.points[0, 0], leg.points[0, 1]), ha="center", va="center", fontsize=7, zorder=5)
+        for leg, (_, stop) in zip(self.legs, self.found.hops, strict=True):
+            places = {str(stop): leg.points[-1, :2]} | ({"home": leg.points[0, :2]} if leg is self.legs[0] else {})
+            for name, place in places.items():
+                if name != "0":
+                    ax.plot(*place, "o", ms=15, mfc="white", mec=OPTIMAL, zorder=4)
+                    ax.annotate(name, (place[0], place[1]), ha="center", va="center", fontsize=7, zorder=5)
         return ax
 
     @property

@@ -1,4 +1,4 @@
-"""Several places and home again, in the order that takes least energy."""
+"""Several places, in the order that takes least energy or as given, and home again."""
 
 from __future__ import annotations
 
@@ -27,18 +27,20 @@ class TourOptions(Request):
     neighbours: Neighbours = 16
     refine: bool = Field(default=True, description="shorten the legs where they need not follow the grid")
     snap: Snap = False
+    in_order: bool = Field(default=False, description="visit the stops in the order in which they are given")
+    one_way: bool = Field(default=False, description="end at the last of the given stops, and do not return")
     time_limit_s: Annotated[float, within(SEARCH_S)] = Field(
         default=10.0, description="longest time for proving that the order is the best one [s]"
     )
 
 
 class TourRequest(TourOptions, OnMap):
-    """Places to visit, and how to search. The service finds the order."""
+    """Places to visit, and how to search. The service finds the order, unless the given one is asked for."""
 
     stops: list[Place] = Field(
         min_length=2,
         max_length=MAX_STOPS,
-        description="places to visit, world x, y [m]; the first is where the tour begins and ends",
+        description="places to visit, world x, y [m]; the first is where the tour begins, and ends unless `one_way`",
         examples=[[[12.5, 40.5], [80.0, 15.0], [60.0, 50.0]]],
     )
     battery: BatteryIn | None = Field(
@@ -55,7 +57,7 @@ class Found(NamedTuple):
 
 
 def ask(planner: RoutePlanner, wanted: TourRequest, *, progress: Callable[[float], None] | None = None) -> Found:
-    """Find the round trip of least energy that visits all stops and returns to the first one."""
+    """Find the tour of least energy that visits all stops."""
     from joulemap.service.analysis.feasibility import judge_routes
 
     asked = on_map(planner, wanted)

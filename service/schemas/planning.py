@@ -195,16 +195,16 @@ class FeasibilityOut(VerdictOut):
 
 
 class TourOut(RouteOut):
-    """The round trip of least energy. Turning on arrival at a stop is not counted."""
+    """The tour of least energy. Turning on arrival at a stop is not counted."""
 
     order: list[int] = Field(
         description="numbers of the stops in the order of the visit, 0 first", examples=[[0, 2, 1]]
     )
     profile: list[PieceOut] = Field(repr=False, description="energy and height along the whole tour")
-    legs: list[RouteOut] = Field(description="from each stop to the next, and from the last back to the first")
+    legs: list[RouteOut] = Field(description="from each stop to the next, and from the last home unless `one_way`")
     grid_energy_j: float = Field(description="energy of the tour along the grid, before `refine` [J]")
     bound_j: float = Field(description="lower bound of the energy of any order along the grid [J]")
-    proven: bool = Field(description="whether no other order costs less energy along the grid")
+    proven: bool = Field(description="whether no other order costs less energy along the grid, or the order was given")
     battery: VerdictOut | None = Field(description="whether the battery lasts; null unless asked for")
     warnings: list[str]
     crs: str | None

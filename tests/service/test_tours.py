@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+import joulemap as jm
 from joulemap.planner.lattice.loading import load_lattice
 from tests.reference.lattices import price_world_path
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST
@@ -48,6 +49,31 @@ def test_a_blocked_stop_can_be_moved_to_the_nearest_free_place(client: TestClien
     tour = client.post(url, json={"stops": [START, IN_HOLE], "snap": True}).json()
     assert tour["legs"][0]["path"][-1][:2] == pytest.approx(refused["context"]["nearest"])
     assert "stop 1" in tour["warnings"][0]
+
+
+@pytest.mark.parametrize("one_way", [True, False])
+def test_a_tour_in_the_given_order_and_one_that_does_not_return(
+    client: TestClient,
+    costmap_id: str,
+    folder: Path,  # noqa: F811
+    one_way: bool,
+) -> None:
+    stops = [START, GOAL, SOUTH, NORTH_WEST]
+    url, more = f"/v1/costmaps/{costmap_id}/tours", {"stops": stops, "one_way": one_way}
+    best, given = (client.post(url, json=more | {"in_order": kept}).json() for kept in (False, True))
+    assert given["order"] == [0, 1, 2, 3]
+    visited = stops if one_way else [*stops, START]
+    for leg, (here, there) in zip(given["legs"], pairwise(visited), strict=True):
+        assert (leg["path"][0][:2], leg["path"][-1][:2]) == (pytest.approx(here), pytest.approx(there))
+    assert (best["order"][-1] == 3 and len(best["legs"]) == 3) if one_way else len(best["legs"]) == 4
+    assert best["energy_j"] <= given["energy_j"]
+    here = [[x - WEST, y - NORTH + 30.0] for x, y in stops]
+    seen = jm.open_costmap(folder / "dem.zarr").tour(here, in_order=True, one_way=one_way)
+    assert (seen.order, len(seen.legs)) == ((0, 1, 2, 3), 3 if one_way else 4)
+    options = ["--in-order", *(["--one-way"] if one_way else [])]
+    code, said, errors = joulemap("tour", folder / "dem.zarr", "--stop", *(f"{x},{y}" for x, y in here), *options)
+    assert code == 0, errors
+    assert f"0 -> 1 -> 2 -> 3{'' if one_way else ' -> 0'}" in said
 
 
 def test_tours_that_cannot_be_asked(client: TestClient, costmap_id: str) -> None:

@@ -107,7 +107,7 @@ async def find_path(wanted: PathRequest, on: CostmapDep, file: FileWanted) -> An
 
 @router.post("/tours", response_model=TourOut, responses=_ROUTES)
 async def find_tour(wanted: TourRequest, on: CostmapDep, file: FileWanted) -> Any:
-    """The round trip of least energy that visits all stops and returns to the first one."""
+    """The tour of least energy that visits all stops, in the best order or as given."""
     await on.row()
     return await on.planned(lambda: _answered(tour, on, wanted, file=file, name="tour"))
 
