@@ -21,6 +21,7 @@ export function read(hash = location.hash) {
     ...(Number.isFinite(heading) && { heading }),
     ...(charge > 0 && charge <= 1 && reserve >= 0 && reserve <= 1 && { battery: { charge, reserve, capacity_wh: full > 0 ? full : null } }),
     ...(given.get("back") === "1" && { roundTrip: true }),
+    ...(given.get("order") === "1" && { inOrder: true }),
     ...(given.get("drive") && { drive: given.get("drive") }),
     ...(Number(given.get("others")) > 0 && { alternatives: Math.min(Number(given.get("others")), 5) }),
   };
@@ -42,6 +43,7 @@ export function address() {
   if (now.start) parts.set("from", written(now.start));
   if (now.goal) parts.set("to", written(now.goal));
   if (now.stops.length) parts.set("stops", now.stops.map(written).join(";"));
+  if (now.stops.length && now.inOrder) parts.set("order", "1");
   parts.set("battery", Object.values(now.battery).filter(value => value !== null).join(","));
   if (now.roundTrip) parts.set("back", "1");
   if (now.drive) parts.set("drive", now.drive);
@@ -65,4 +67,4 @@ function write() {
   waiting = setTimeout(() => { if (now.costmap) history.replaceState(null, "", address()); }, 200);
 }
 
-on("costmap drive start goal stops battery roundTrip alternatives avoid aim view heading", write);
+on("costmap drive start goal stops inOrder battery roundTrip alternatives avoid aim view heading", write);

@@ -87,9 +87,9 @@ export const snap = () => set({ snap: places() });
 
 /** The question as it is now. */
 function question() {
-  const { costmap, start, goal, stops, battery, avoid, planner, alternatives, aim, roundTrip } = now, snap = now.snap === places();
+  const { costmap, start, goal, stops, inOrder, battery, avoid, planner, alternatives, aim, roundTrip } = now, snap = now.snap === places();
   if (!costmap || !start || !(goal || stops.length)) return null;
-  return { costmap: costmap.id, ...(stops.length ? { kind: "tours", body: { stops: [start, ...stops, ...(goal ? [goal] : [])], battery, avoid, snap } } : { kind: "paths", roundTrip, body: { start, goal, battery, avoid, ...aim, planner, alternatives, snap } }) };
+  return { costmap: costmap.id, ...(stops.length ? { kind: "tours", body: { stops: [start, ...stops, ...(goal ? [goal] : [])], battery, avoid, snap, in_order: inOrder, one_way: inOrder && !roundTrip } } : { kind: "paths", roundTrip, body: { start, goal, battery, avoid, ...aim, planner, alternatives, snap } }) };
 }
 
 /** What a file of an answer is asked with: an address, and a body. */

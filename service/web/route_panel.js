@@ -18,6 +18,7 @@ const pickers = by("places").querySelectorAll("[value]");
 function places() {
   for (const one of pickers) one.setAttribute("aria-pressed", expected() === one.value);
   by("stops").hidden = !now.stops.length;
+  by("stops").querySelector("i").textContent = !now.inOrder ? "The best order is found, and the tour returns to the start." : now.roundTrip ? "They are visited as numbered, and the tour returns to the start." : "They are visited as numbered; the tour ends at the last place.";
   by("stops").firstChild.textContent = `${now.stops.length} stop${now.stops.length > 1 ? "s" : ""}.`;
   by("swap").disabled = !now.start || !now.goal;
   by("undo").disabled = !canUndo();
@@ -34,6 +35,7 @@ export function start(planners) {
   bind(...share("charge"));
   bind(...share("reserve"));
   bind("round-trip", "roundTrip", () => now.roundTrip, roundTrip => set({ roundTrip }));
+  bind("in-order", "inOrder", () => now.inOrder, inOrder => set({ inOrder }));
   bind("confidence", "confidence", () => 100 * now.confidence, value => set({ confidence: value / 100 }));
   bind("turn-back", "turnBack", () => now.turnBack, turnBack => set({ turnBack }));
   bind("others", "alternatives", () => now.alternatives, alternatives => set({ alternatives }));
@@ -43,7 +45,7 @@ export function start(planners) {
   bind("planner", "planner", () => now.planner, planner => set({ planner }));
   on("aim", () => { by("share").hidden = now.aim.objective !== "quantile"; });
   for (const name of ["start", "goal"]) bind(`place-${name}`, name, () => now[name]?.map(one => +one.toFixed(2)).join(", "), text => set({ [name]: text?.split(/[\s,;]+/).filter(Boolean).map(Number) ?? null }));
-  on("start goal stops avoid costmap", places);
+  on("start goal stops inOrder roundTrip avoid costmap", places);
   places();
   answer();
 }

@@ -1,7 +1,7 @@
 // What the page shows now, in one place; whoever depends on a part of it listens for that part.
 
 const parts = {
-  start: null, goal: null, stops: [], // [x, y] in metres
+  start: null, goal: null, stops: [], inOrder: false, // [x, y] in metres; whether the stops keep their order
   costmap: null, layers: null, heightmap: null,
   view: "mean", heading: 0, show: { contours: true, blocked: true, roses: true },
   battery: { charge: 1, reserve: 0.2, capacity_wh: null }, roundTrip: false, // capacity: null is that of the robot

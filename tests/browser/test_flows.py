@@ -202,7 +202,12 @@ def test_areas_stops_and_reach(browser: Any, address: str, calibrated_on: str) -
             shot(tab, "reach")
         tab.page.click("text=Add stop")
         tab.page.mouse.click(*tab.place(west + 25.0, north - 8.0))
-        tab.page.wait_for_function("() => joulemap.now.answer?.tour === true")
+        tab.page.wait_for_function("() => joulemap.now.answer?.legs?.length === 3")
+        assert "returns to the start" in tab.text("#stops")
+        tab.page.check("#in-order")
+        tab.page.wait_for_function("() => joulemap.now.answer?.legs?.length === 2")
+        assert "ends at the last place" in tab.text("#stops")
+        tab.page.wait_for_function("() => location.hash.includes('order=1')")
         tab.page.wait_for_selector("#profile svg")
         shot(tab, "stops")
 
