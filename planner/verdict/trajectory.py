@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -106,6 +107,11 @@ class Course:
     def ways(self) -> int:
         """Number of routes."""
         return int(self.way[-1]) + 1 if len(self) else 0
+
+    @property
+    def returns(self) -> bool:
+        """Whether it ends where it begins, to a centimetre."""
+        return self.ways > 1 and math.dist((self.x[-1], self.y[-1]), self.start[:2]) < 0.01
 
     def place(self, piece: int, share: float) -> Place:
         """Return a place within a piece.

@@ -38,7 +38,7 @@ def _odds(verdict: Verdict, course: Course) -> str:
     word = verdict.verdict.capitalize()
     if verdict.probability is None:
         return f"{word}, without odds because the model has seen no runs"
-    task = "return" if course.ways > 1 else "arrive"
+    task = "return" if course.returns else "arrive"
     task += " with the reserve" if verdict.reserve > 0.0 else ""
     return f"{word}: {probability_words(verdict.probability)} to {task}"
 
@@ -63,7 +63,7 @@ def _wh(energy_j: float) -> str:
 def _stretch(stretch: Stretch, course: Course, energy_j: float) -> str:
     lift_j = math.nan if course.weight_n is None else course.weight_n * stretch.rise_m
     what = "climb" if lift_j >= _LIFTED * stretch.share * energy_j else "stretch"  # NaN: unknown, so a stretch
-    ways = {1: ("the route",), 2: ("the way out", "the way back")}.get(course.ways)
+    ways = {1: ("the route",), 2: ("the way out", "the way back") if course.returns else None}.get(course.ways)
     way = ways[stretch.way] if ways else f"leg {stretch.way + 1}"
     where = (
         f"on the first {stretch.end_m:.0f} m of {way}"

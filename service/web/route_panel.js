@@ -18,7 +18,7 @@ const pickers = by("places").querySelectorAll("[value]");
 function places() {
   for (const one of pickers) one.setAttribute("aria-pressed", expected() === one.value);
   by("stops").hidden = !now.stops.length;
-  by("stops").querySelector("i").textContent = !now.inOrder ? "The best order is found, and the tour returns to the start." : now.roundTrip ? "They are visited as numbered, and the tour returns to the start." : "They are visited as numbered; the tour ends at the last place.";
+  by("stops-how").textContent = !now.inOrder ? "The best order is found, and the tour returns to the start." : now.roundTrip ? "They are visited as numbered, and the tour returns to the start." : "They are visited as numbered; the tour ends at the last place.";
   by("stops").firstChild.textContent = `${now.stops.length} stop${now.stops.length > 1 ? "s" : ""}.`;
   by("swap").disabled = !now.start || !now.goal;
   by("undo").disabled = !canUndo();

@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 import joulemap as jm
 from joulemap.planner.lattice.loading import load_lattice
 from tests.reference.lattices import price_world_path
-from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST
+from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST, hill
 from tests.service.test_bad_input import check_problem
 from tests.service.test_cli import folder, joulemap  # noqa: F401
 
@@ -67,6 +67,9 @@ def test_a_tour_in_the_given_order_and_one_that_does_not_return(
         assert (leg["path"][0][:2], leg["path"][-1][:2]) == (pytest.approx(here), pytest.approx(there))
     assert (best["order"][-1] == 3 and len(best["legs"]) == 3) if one_way else len(best["legs"]) == 4
     assert best["energy_j"] <= given["energy_j"]
+    costs = jm.costmap(hill())
+    judged = costs.feasibility(costs.tour(stops, in_order=True, one_way=one_way), charge=0.5, reserve=0.1)
+    assert f"to {'arrive' if one_way else 'return'} with the reserve" in judged.text
     here = [[x - WEST, y - NORTH + 30.0] for x, y in stops]
     seen = jm.open_costmap(folder / "dem.zarr").tour(here, in_order=True, one_way=one_way)
     assert (seen.order, len(seen.legs)) == ((0, 1, 2, 3), 3 if one_way else 4)
