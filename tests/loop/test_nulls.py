@@ -54,14 +54,14 @@ def test_a_heater_under_another_name_is_named():
     assert row["after"] <= 1.2 * row["clean"]
 
 
-@pytest.mark.parametrize("declared", [None, 0.02, 0.4])
-def test_where_the_drives_coast_is_found_in_noise(declared):
+@pytest.mark.parametrize("declared", [None, pytest.param(0.02, marks=pytest.mark.slow), 0.4])
+@pytest.mark.parametrize("number", [0, *(pytest.param(number, marks=pytest.mark.slow) for number in (1, 2, 3))])
+def test_where_the_drives_coast_is_found_in_noise(declared, number):
     """Losses of the drives hold no robot back on a descent. A point that is not found bends the prediction, and the
     bend is taken for an effect. None: up to 0.03 too much is declared.
     """
-    for number in range(4):
-        case = make_case(config_of("student-nobase-6-hilly", number), SEED + 100 + number)
-        robot = case.declared if declared is None else replace(case.declared, rolling_resistance=declared)
-        rows, _, _ = residuals_on(PhysicsPredictor(), case.new.site.heightmap, robot, segments_of(case.new.logs, robot))
-        found = robot.rolling_resistance + drives_of(rows).coasting_shift
-        assert found == pytest.approx(case.robot.rolling_resistance, abs=0.008), number
+    case = make_case(config_of("student-nobase-6-hilly", number), SEED + 100 + number)
+    robot = case.declared if declared is None else replace(case.declared, rolling_resistance=declared)
+    rows, _, _ = residuals_on(PhysicsPredictor(), case.new.site.heightmap, robot, segments_of(case.new.logs, robot))
+    found = robot.rolling_resistance + drives_of(rows).coasting_shift
+    assert found == pytest.approx(case.robot.rolling_resistance, abs=0.008)
