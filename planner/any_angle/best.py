@@ -51,9 +51,7 @@ PROBES = np.array([0.25, 0.0625])
 """Offsets of the finite differences in Newton's method, for vertices a cell apart [cells]."""
 BENDS = (0.25, 0.125, 1 / 32)
 """Shifts of vertices across the path and along it [cells]."""
-LONG_SHIFTS = (4.0, 1.0)
-"""Shifts of the corners of long legs [cells]: so a zigzag changes its angle."""
-CORNER_SHIFTS = (8.0, *LONG_SHIFTS, 0.5, 0.25, 0.125, 1 / 16, 1 / 32)
+CORNER_SHIFTS = (8.0, 4.0, 1.0, 0.5, 0.25, 0.125, 1 / 16, 1 / 32)
 """Shifts of corners where they are all there is to move [cells]."""
 
 
@@ -206,8 +204,6 @@ def _moved(prices: Prices, points: Points, spacing: float) -> Points:
         for step in SLIDES:
             points = bent(prices, points, step, ON_LINE)
         points = shortcuts(prices, points)
-        for step in LONG_SHIFTS:
-            points = _bent(prices, points, step)
         points = shortcuts(prices, settled(prices, subdivided(points, 1.0), PROBES))
     points = subdivided(points, spacing)
     for step in BENDS:
