@@ -182,9 +182,7 @@ def _cheapest_in(
     def _cheapest(prices: Prices) -> Points:
         found = cheapest_over_line_points(lattice, prices, cells, known[0], known[-1], parts=parts, typical_j=typical_j)
         paths = [found, known] if len(found) and turning else [found] if len(found) else [known]
-        return min(
-            [known, *(_moved(prices, path, fine) for path in paths)], key=lambda path: path_energy(prices, path)
-        )
+        return min([known, *(_moved(prices, path, fine) for path in paths)], key=lambda path: path_energy(prices, path))
 
     path = _cheapest(prices)
     if any_closed and _squeezes(lattice, path, known):

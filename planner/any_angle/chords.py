@@ -31,16 +31,18 @@ class Chords(NamedTuple):
         (row, col) of each kind from the centre of its cell [cells].
     first : ndarray of int64, (kinds + 1,)
         The first chord from each kind, and the number of all.
-    cell : ndarray of int64, (C,)
+    cell : ndarray of uint8, (C,)
         The cell of a chord's end, by its number among the nine around that of the beginning.
-    kind : ndarray of int64, (C,)
+    kind : ndarray of uint8, (C,)
         Kind of its end.
-    heading : ndarray of int64, (C,)
+    heading : ndarray of uint16, (C,)
         Number of its heading.
     length : ndarray of float64, (C,)
         Length [cells].
-    corners : ndarray of int64, (C, 4)
+    corners : ndarray of uint8, (C, 4)
         Cells that it touches, by their number among the nine; one of them again where there are fewer.
+    other_corners : ndarray of bool, (C,)
+        Whether these are others than those of the chord before.
     share : ndarray of float64, (C, 4)
         Share of each of these in the mean of the traction.
     blend : ndarray of float64, (C, 3, 4)
@@ -56,11 +58,12 @@ class Chords(NamedTuple):
 
     places: NDArray[np.float64]
     first: NDArray[np.int64]
-    cell: NDArray[np.int64]
-    kind: NDArray[np.int64]
-    heading: NDArray[np.int64]
+    cell: NDArray[np.uint8]
+    kind: NDArray[np.uint8]
+    heading: NDArray[np.uint16]
     length: NDArray[np.float64]
-    corners: NDArray[np.int64]
+    corners: NDArray[np.uint8]
+    other_corners: NDArray[np.bool_]
     share: NDArray[np.float64]
     blend: NDArray[np.float64]
     directions: NDArray[np.float64]
@@ -105,20 +108,24 @@ def chords_of(parts: int, margin: float = 0.0) -> Chords:
                         blend,
                     )
                 )
+        rows[first[-1] :] = sorted(rows[first[-1] :], key=lambda row: tuple(row[4]))
         first.append(len(rows))
     down, right = np.array(list(headings)).T
     heading_rad = heading_of(right, -down)
     cell, kind, heading, length, corners, share, weights = (np.array(column) for column in zip(*rows, strict=True))
+    other_corners = np.append(True, (corners[1:] != corners[:-1]).any(axis=1))
+    other_corners[first[:-1]] = True
     directions, places = np.column_stack(heading_vector(heading_rad)), np.array(kinds) / parts
     beside = _beside(np.repeat(places, np.diff(first), axis=0), directions[heading], length, corners, margin)
     return Chords(
         places,
         np.array(first),
-        cell,
-        kind,
-        heading,
+        cell.astype(np.uint8),
+        kind.astype(np.uint8),
+        heading.astype(np.uint16),
         length,
-        corners,
+        corners.astype(np.uint8),
+        other_corners,
         share,
         weights,
         directions,

@@ -54,9 +54,9 @@ class _Terms(NamedTuple):
 
 
 @cache
-def _heading_weights(parts: int, bins: int) -> NDArray[np.float64]:
-    """The weights of heading bins at the headings of chords, (H, K)."""
-    return interpolation_matrix(chords_of(parts).heading_rad, bins).astype(np.float32)
+def _heading_weights(parts: int, bins: int) -> NDArray[np.float32]:
+    """The weights of heading bins at the headings of chords, (K, H)."""
+    return np.ascontiguousarray(interpolation_matrix(chords_of(parts).heading_rad, bins).T, dtype=np.float32)
 
 
 def cheapest_over_line_points(
@@ -119,20 +119,28 @@ def _joined(lattice: CostLattice, part: _Part, chords: Chords, place: Points, ou
 def _cheapest(prices, chords, weights, part, begins, ends, how, stop):
     """The (row, col) of the line points of the cheapest way, (k, 2); k = 0 where there is none.
 
-    weights : of the heading bins at the headings of chords, (H, K). begins, ends : `_Joined` to the start and the goal.
+    weights : of the heading bins at the headings of chords, (K, H). begins, ends : `_Joined` to the start and the goal.
     """
     slot, cells, inside = part
     least_per_cell, per_j, turn = how
-    rows, cols = slot.shape
+    cols = slot.shape[1]
     blocked, terms = prices.blocked, prices.terms
     spacing, hotel, regeneration = terms[0], terms[1], terms[2]
-    kinds = len(chords.places)
-    turning, beside = turn.size > 0, chords.beside.shape[1]
+    chord_cell, chord_kind, chord_heading, chord_length = chords.cell, chords.kind, chords.heading, chords.length
+    first, corners, other_corners, share, blend = (
+        chords.first,
+        chords.corners,
+        chords.other_corners,
+        chords.share,
+        chords.blend,
+    )
+    kinds, directions, beside_cells = len(chords.places), chords.directions, chords.beside
+    turning, beside = turn.size > 0, beside_cells.shape[1]
     label, joined = np.full(kinds * cells.size, np.inf), np.full(kinds * cells.size, np.inf)
     expanded = np.full(label.size, np.inf)
     came = np.full(label.size, -1, dtype=np.int32)
     arrived_by = np.full(label.size if turning else 1, -1, dtype=np.int16)
-    at_headings = np.empty((cells.size, weights.shape[0]), dtype=np.float32)
+    at_headings = np.empty((cells.size, weights.shape[1]), dtype=np.float32)
     known = np.zeros(cells.size, dtype=np.bool_)
     around = np.empty(AROUND * AROUND, dtype=np.int64)
     queue = np.empty((BUCKETS, 64), dtype=np.uint32)
@@ -168,43 +176,39 @@ def _cheapest(prices, chords, weights, part, begins, ends, how, stop):
             row, col = cells[here] // cols, cells[here] % cols
             for k in range(around.size):
                 i, j = row + k // AROUND - 1, col + k % AROUND - 1
-                there = np.int64(slot[i, j]) - 1 if 0 <= i < rows and 0 <= j < cols else -1
+                there = _filled(at_headings, known, prices, slot, directions, weights, i, j)
                 around[k] = there if there >= 0 and inside[there] else -1
-                if there >= 0 and not known[there]:
-                    known[there] = True
-                    fill_tractions(at_headings[there], prices, chords.directions, weights, i, j)
             heading_in = arrived_by[point] if turning else -1
-            for n in range(chords.first[kind], chords.first[kind + 1]):
-                there = around[chords.cell[n]]
-                if there < 0:
+            touched, a, b, c, d = False, np.uintp(0), np.uintp(0), np.uintp(0), np.uintp(0)
+            for n in range(np.uintp(first[kind]), np.uintp(first[kind + 1])):  # unsigned: none counts from the end
+                if other_corners[n]:
+                    i, j = around[corners[n, 0]], around[corners[n, 1]]
+                    k, there = around[corners[n, 2]], around[corners[n, 3]]
+                    touched = min(min(i, j), min(k, there)) >= 0
+                    a, b, c, d = np.uintp(i), np.uintp(j), np.uintp(k), np.uintp(there)
+                if not touched:
                     continue
-                other = kinds * there + chords.kind[n]
+                other = np.uintp(kinds * around[chord_cell[n]] + chord_kind[n])  # its cell is one of the four
                 before = label[other]
-                length = chords.length[n]
+                length = chord_length[n]
                 if so_far + length * least_per_cell >= before:
                     continue
-                a, b = around[chords.corners[n, 0]], around[chords.corners[n, 1]]
-                c, d = around[chords.corners[n, 2]], around[chords.corners[n, 3]]
-                if min(min(a, b), min(c, d)) < 0:
-                    continue
-                h = chords.heading[n]
+                h = np.uintp(chord_heading[n])
                 ta, tb, tc, td = at_headings[a, h], at_headings[b, h], at_headings[c, h], at_headings[d, h]
-                share = chords.share[n]
-                mean = share[0] * ta + share[1] * tb + share[2] * tc + share[3] * td
+                mean = share[n, 0] * ta + share[n, 1] * tb + share[n, 2] * tc + share[n, 3] * td
                 if math.isnan(mean):
                     continue
                 if min(min(ta, tb), min(tc, td)) < 0.0:
-                    blend = chords.blend[n]
-                    t0 = blend[0, 0] * ta + blend[0, 1] * tb + blend[0, 2] * tc + blend[0, 3] * td
-                    tm = blend[1, 0] * ta + blend[1, 1] * tb + blend[1, 2] * tc + blend[1, 3] * td
-                    t1 = blend[2, 0] * ta + blend[2, 1] * tb + blend[2, 2] * tc + blend[2, 3] * td
+                    t0 = blend[n, 0, 0] * ta + blend[n, 0, 1] * tb + blend[n, 0, 2] * tc + blend[n, 0, 3] * td
+                    tm = blend[n, 1, 0] * ta + blend[n, 1, 1] * tb + blend[n, 1, 2] * tc + blend[n, 1, 3] * td
+                    t1 = blend[n, 2, 0] * ta + blend[n, 2, 1] * tb + blend[n, 2, 2] * tc + blend[n, 2, 3] * td
                     mean = mean_response(t0, tm, t1, regeneration)
                 arrived = so_far + (hotel + mean) * length * spacing
                 if turning and heading_in >= 0:
                     arrived += turn[heading_in, h]
                 if arrived < before and blocked.room.size > 0 and (blocked.near.size == 0 or blocked.near[row, col]):
                     begin_row, begin_col = row + chords.places[kind, 0], col + chords.places[kind, 1]
-                    east, north = chords.directions[h, 0], chords.directions[h, 1]
+                    east, north = directions[h, 0], directions[h, 1]
                     end_row, end_col = begin_row - length * north, begin_col + length * east
                     leg = (begin_row, begin_col, end_row, end_col, east, north)
                     if meets(blocked.room, blocked.body, *leg, 0.0):
@@ -213,14 +217,9 @@ def _cheapest(prices, chords, weights, part, begins, ends, how, stop):
                         arrived += terms[8] * length
                 if arrived < before and beside > 0:
                     for k in range(beside):
-                        i, j = row + chords.beside[n, k, 0], col + chords.beside[n, k, 1]
-                        there = np.int64(slot[i, j]) - 1 if 0 <= i < rows and 0 <= j < cols else -1
-                        if there < 0:
-                            continue
-                        if not known[there]:
-                            known[there] = True
-                            fill_tractions(at_headings[there], prices, chords.directions, weights, i, j)
-                        if math.isnan(at_headings[there, h]):
+                        i, j = row + beside_cells[n, k, 0], col + beside_cells[n, k, 1]
+                        there = _filled(at_headings, known, prices, slot, directions, weights, i, j)
+                        if there >= 0 and math.isnan(at_headings[there, h]):
                             arrived += terms[8] * length
                             break
                 if not arrived < before - _ROUNDING * abs(arrived):
@@ -235,6 +234,17 @@ def _cheapest(prices, chords, weights, part, begins, ends, how, stop):
         count[here_slot] = 0
         current += 1
     return _way_to(last, came, cells, cols, chords.places)
+
+
+@njit(cache=True, forceinline=True, _nrt=False)
+def _filled(at_headings, known, prices, slot, directions, weights, i, j):
+    """The number of a cell, from 0, whose tractions are then known; -1 where it takes no part."""
+    rows, cols = slot.shape
+    there = np.int64(slot[i, j]) - 1 if 0 <= i < rows and 0 <= j < cols else -1
+    if there >= 0 and not known[there]:
+        known[there] = True
+        fill_tractions(at_headings, there, prices, directions, weights, i, j)
+    return there
 
 
 @njit(cache=True)

@@ -153,27 +153,28 @@ def _corner(prices, weights, east, north, limits, i, j):
     return math.nan if shut or steep or tilted or demand > max_traction else demand
 
 
-@njit(cache=True, _nrt=False)
-def fill_tractions(out, prices, directions, weights, i, j):
+@njit(cache=True, error_model="numpy", _nrt=False)
+def fill_tractions(out, n, prices, directions, weights, i, j):
     """Fill the tractions of a cell at some headings.
 
-    `out` (H,): is filled [J/m], NaN where the cell may not be driven at a heading; `directions` (H, 2): east and north
-    component of each heading; `weights` (H, K): weights of the heading bins at each heading.
+    `out` (N, H): row n is filled [J/m], NaN where the cell may not be driven at a heading; `directions` (H, 2): east
+    and north component of each heading; `weights` (K, H): weights of the heading bins at each heading.
     """
-    code = prices.blocked.codes[i, j]
-    if code != 0 and code != MEETS:
-        out[:] = np.nan
-        return
     traction, terms = prices.traction, prices.terms
+    code = prices.blocked.codes[i, j]
+    shut, max_grade, max_cross, max_traction = code != 0 and code != MEETS, terms[3], terms[4], terms[5]
     rise_east, rise_north = np.float64(prices.gradient[i, j, 0]), np.float64(prices.gradient[i, j, 1])
-    for n in range(out.size):
-        total = 0.0
-        for k in range(weights.shape[1]):
-            total += weights[n, k] * traction[i, j, k]
-        along = rise_east * directions[n, 0] + rise_north * directions[n, 1]
-        across = rise_east * directions[n, 1] - rise_north * directions[n, 0]
-        closed = abs(along) > terms[3] or abs(across) > terms[4] or total > terms[5]
-        out[n] = np.nan if closed else total
+    for h in range(out.shape[1]):
+        out[n, h] = 0.0
+    for k in range(weights.shape[0]):  # bin by bin, so that the compiler makes vectors of headings
+        here = traction[i, j, k]
+        for h in range(out.shape[1]):
+            out[n, h] += weights[k, h] * here
+    for h in range(out.shape[1]):
+        along = rise_east * directions[h, 0] + rise_north * directions[h, 1]
+        across = rise_east * directions[h, 1] - rise_north * directions[h, 0]
+        if shut or abs(along) > max_grade or abs(across) > max_cross or out[n, h] > max_traction:
+            out[n, h] = np.nan
 
 
 @njit(cache=True)

@@ -93,7 +93,7 @@ def test_chords_have_one_length_and_heading_each_and_shares_that_sum_to_one():
     assert len(chords.heading_rad) == 176
     assert chords.share.sum(axis=1) == pytest.approx(np.ones(len(chords.length)))
     assert chords.blend.sum(axis=2) == pytest.approx(np.ones((len(chords.length), 3)))
-    down, right = np.divmod(chords.cell, 3)
+    down, right = np.divmod(chords.cell.astype(np.int64), 3)
     begins = np.repeat(np.arange(15), np.diff(chords.first))
     steps = np.column_stack([down - 1, right - 1]) + chords.places[chords.kind] - chords.places[begins]
     assert np.hypot(*steps.T) == pytest.approx(chords.length)
