@@ -17,11 +17,11 @@ from joulemap.model.terrain.denoising import (
     LEAST_NOISE_M,
     check_noise,
     denoised,
-    estimated_noise_m,
     hiding_noise_m,
 )
 from joulemap.model.terrain.layers import NO_LAYERS, Layers
 from joulemap.model.terrain.layers.layer import HEIGHT
+from joulemap.model.terrain.noise_estimate import estimated_noise_m
 from joulemap.model.terrain.rows import share_of
 
 FloatArray = NDArray[np.float64]

@@ -20,12 +20,12 @@ from joulemap.model.terrain.denoising import (
     MARGIN_CELLS,
     check_noise,
     denoised,
-    estimated_noise_m,
     hiding_noise_m,
 )
 from joulemap.model.terrain.formats.contract import WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.layers import NO_LAYERS, Layers
+from joulemap.model.terrain.noise_estimate import estimated_noise_m
 
 _KEPT_CELLS = 32_000_000  # a file of up to so many is read once and kept, as windows would read most of it many times
 _STRIP_CELLS = 16_000_000  # of a larger one that are held at a time while it is read through once

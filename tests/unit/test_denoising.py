@@ -11,8 +11,9 @@ from joulemap.model.errors import HeightmapError
 from joulemap.model.field.sites import random_site
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
-from joulemap.model.terrain.denoising import LEAST_NOISE_M, MARGIN_CELLS, _details, denoised, noise_of, noise_shares
+from joulemap.model.terrain.denoising import LEAST_NOISE_M, MARGIN_CELLS, _details, denoised, noise_shares
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.noise_estimate import noise_of
 from joulemap.model.terrain.readers import open_ground
 from joulemap.model.terrain.survey import SurveyQuality, degrade
 from joulemap.model.terrain.windows import window_without_noise
