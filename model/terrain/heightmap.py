@@ -21,14 +21,14 @@ from joulemap.model.terrain.denoising import (
 )
 from joulemap.model.terrain.layers import NO_LAYERS, Layers
 from joulemap.model.terrain.layers.layer import HEIGHT
-from joulemap.model.terrain.noise_estimate import estimated_noise_m
+from joulemap.model.terrain.noise_estimate import Surveyed
 from joulemap.model.terrain.rows import share_of
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Heightmap:
+class Heightmap(Surveyed):
     """Heights of the ground on a north-up grid.
 
     Attributes
@@ -48,7 +48,7 @@ class Heightmap:
     removed_noise_m : float
         Standard deviation of the noise that was taken out [m], of an independent one that hides as much of the finest
         details; 0 for a survey as it is.
-    noise_length_m : float
+    given_noise_length_m : float
         Length over which the given noise is alike [m], see `model.terrain.denoising.correlation_of`; 0 where it is
         independent from cell to cell.
     layers : Layers
@@ -67,7 +67,7 @@ class Heightmap:
     notes: tuple[str, ...] = ()
     given_noise_m: float | None = None
     removed_noise_m: float = 0.0
-    noise_length_m: float = 0.0
+    given_noise_length_m: float = 0.0
     layers: Layers = NO_LAYERS
 
     def __post_init__(self) -> None:
@@ -80,7 +80,7 @@ class Heightmap:
             raise HeightmapError("heights must be finite or NaN (unknown), found an infinite one")
         if not self.part and np.isnan(heights).all():
             raise HeightmapError("every cell of the heightmap is unknown: there is no ground to plan on")
-        check_noise(self.given_noise_m, self.noise_length_m)
+        check_noise(self.given_noise_m, self.given_noise_length_m)
         heights.setflags(write=False)
         object.__setattr__(self, "heights", heights)
 
@@ -118,11 +118,6 @@ class Heightmap:
         return digest.hexdigest()[:16]
 
     @cached_property
-    def noise_m(self) -> float:
-        """Standard deviation of the noise of the survey [m], given or estimated."""
-        return estimated_noise_m(self) if self.given_noise_m is None else self.given_noise_m
-
-    @cached_property
     def without_noise(self) -> Heightmap:
         """The expected ground, given this survey: what prices and limits are made of; itself where it has no noise."""
         if self.noise_m < LEAST_NOISE_M:
@@ -130,7 +125,7 @@ class Heightmap:
         length = self.noise_length_m / self.resolution_m
         removed = hiding_noise_m(self.noise_m, length)
         heights = self.layers.over(denoised(self.heights, self.noise_m, length), self.frame)
-        return replace(self, heights=heights, given_noise_m=0.0, noise_length_m=0.0, removed_noise_m=removed)
+        return replace(self, heights=heights, given_noise_m=0.0, given_noise_length_m=0.0, removed_noise_m=removed)
 
     def with_layers(self, layers: Layers) -> Heightmap:
         """Return the map with layers in place of those that it has, but for heights: those stay, under new ones.

@@ -70,7 +70,7 @@ def read_sent(
         return ground
     rows, cols = ground.frame.shape
     heights = ground.window(0, rows, 0, cols).heights
-    same = ("source", "notes", "given_noise_m", "noise_length_m", "layers")
+    same = ("source", "notes", "given_noise_m", "given_noise_length_m", "layers")
     return Heightmap(heights, ground.frame, **{name: getattr(ground, name) for name in same})
 
 
@@ -145,7 +145,7 @@ def _ground(source: SourceFile, max_cells: int, max_cells_whole: int, reading: R
     if reader is not None:
         return HeightmapFile(part, scaling, frame, file.name, notes, *noise)
     heights = part.read(scaling, slice(0, frame.rows), slice(0, frame.cols)).copy()
-    return Heightmap(heights, frame, file.name, notes=notes, given_noise_m=noise[0], noise_length_m=noise[1])
+    return Heightmap(heights, frame, file.name, notes=notes, given_noise_m=noise[0], given_noise_length_m=noise[1])
 
 
 def _window_note(frame: GridFrame) -> str:

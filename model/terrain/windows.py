@@ -25,7 +25,7 @@ from joulemap.model.terrain.denoising import (
 from joulemap.model.terrain.formats.contract import WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.layers import NO_LAYERS, Layers
-from joulemap.model.terrain.noise_estimate import estimated_noise_m
+from joulemap.model.terrain.noise_estimate import Surveyed, SurveyNoise
 
 _KEPT_CELLS = 32_000_000  # a file of up to so many is read once and kept, as windows would read most of it many times
 _STRIP_CELLS = 16_000_000  # of a larger one that are held at a time while it is read through once
@@ -57,16 +57,12 @@ class Ground(Protocol):
         """Share of cells whose height is known, 0..1."""
 
     @property
-    def noise_m(self) -> float:
-        """Standard deviation of the noise of the survey [m]."""
+    def noise(self) -> SurveyNoise:
+        """The noise of the survey, given or estimated."""
 
     @property
     def given_noise_m(self) -> float | None:
-        """The same where the user gave it."""
-
-    @property
-    def noise_length_m(self) -> float:
-        """Length over which that noise is alike [m]; 0 where it is independent from cell to cell."""
+        """Its standard deviation [m] where the user gave it."""
 
     @property
     def layers(self) -> Layers:
@@ -77,7 +73,7 @@ class Ground(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class HeightmapFile:
+class HeightmapFile(Surveyed):
     """A file read by windows, with the same heights, identity and refusals as reading it whole.
 
     A small file is kept in memory after it was read for the first window.
@@ -89,16 +85,11 @@ class HeightmapFile:
     source: str  # The file's name
     notes: tuple[str, ...] = ()  # As `Heightmap.notes`
     given_noise_m: float | None = None  # As those of `Heightmap`
-    noise_length_m: float = 0.0
+    given_noise_length_m: float = 0.0
     layers: Layers = NO_LAYERS  # As `Heightmap.layers`
 
     def __post_init__(self) -> None:
-        check_noise(self.given_noise_m, self.noise_length_m)
-
-    @cached_property
-    def noise_m(self) -> float:
-        """Standard deviation of the noise of the survey [m], given or estimated."""
-        return estimated_noise_m(self) if self.given_noise_m is None else self.given_noise_m
+        check_noise(self.given_noise_m, self.given_noise_length_m)
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1)."""
@@ -155,15 +146,15 @@ def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: 
 
     Result: the same as that part of the whole map without noise.
     """
-    if ground.noise_m < LEAST_NOISE_M:
+    if ground.noise.noise_m < LEAST_NOISE_M:
         return ground.window(row0, row1, col0, col1)
     rows, cols = ground.frame.shape
     top, left = max(row0 - MARGIN_CELLS, 0), max(col0 - MARGIN_CELLS, 0)
     around = ground.window(top, min(row1 + MARGIN_CELLS, rows), left, min(col1 + MARGIN_CELLS, cols))
-    length = ground.noise_length_m / ground.frame.resolution_m
-    heights = denoised(around.heights, ground.noise_m, length)[row0 - top : row1 - top, col0 - left : col1 - left]
+    length = ground.noise.length_m / ground.frame.resolution_m
+    heights = denoised(around.heights, ground.noise.noise_m, length)[row0 - top : row1 - top, col0 - left : col1 - left]
     heights = ground.layers.over(heights, ground.frame.window(row0, row1, col0, col1))
-    place, removed = ground.frame.window(row0, row1, col0, col1), hiding_noise_m(ground.noise_m, length)
+    place, removed = ground.frame.window(row0, row1, col0, col1), hiding_noise_m(ground.noise.noise_m, length)
     noise: Any = {"given_noise_m": 0.0, "removed_noise_m": removed}
     return Heightmap(heights, place, ground.source, part=True, layers=ground.layers, **noise)
 

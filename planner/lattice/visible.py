@@ -68,8 +68,8 @@ class VisibleFeatures:
 
 def visible_features(ground: Ground, robot: Robot) -> VisibleFeatures:
     """Return what a map of any size can show to a robot."""
-    cells_m, noise_m = ground.frame.resolution_m, ground.noise_m
-    length_cells = ground.noise_length_m / cells_m
+    cells_m, noise, noise_m = ground.frame.resolution_m, ground.noise, ground.noise.noise_m
+    length_cells = noise.length_m / cells_m
     x = np.arange(max(round(SQUARE_M / cells_m), 1) + 1.0)
     x -= x.mean()
     alike = correlation_of(np.subtract.outer(x, x), length_cells)
@@ -78,7 +78,7 @@ def visible_features(ground: Ground, robot: Robot) -> VisibleFeatures:
     shown = max(hiding_noise_m(noise_m, length_cells), LEAST_NOISE_M)
     return VisibleFeatures(
         noise_m,
-        ground.noise_length_m,
+        noise.length_m,
         ground.given_noise_m is not None,
         math.degrees(math.atan(slope)),
         BUMP_IN_NOISE * shown,

@@ -69,7 +69,7 @@ def measure(sites: int, *, correlation_m: float, given: bool, as_surveyed: bool,
             unit = drawn_noise(clean.frame.shape, cells_m, correlation_m, rng)
             for noise_m in NOISES_M:
                 heights = (clean.heights + noise_m * unit).astype(np.float32)
-                known = {"given_noise_m": noise_m, "noise_length_m": correlation_m} if given else {}
+                known = {"given_noise_m": noise_m, "given_noise_length_m": correlation_m} if given else {}
                 survey = Heightmap(heights, clean.frame, **known)
                 ground = survey if as_surveyed else survey.without_noise
                 for name, predictor in predictors.items():

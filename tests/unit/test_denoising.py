@@ -75,7 +75,7 @@ def test_noise_that_is_alike_over_some_cells_goes_where_it_is_told(smooth):
     clean, rng = surveys(0.25, smooth=smooth)
     noise = gaussian_filter(rng.standard_normal(clean.frame.shape), 2.0 / np.sqrt(2.0), mode="wrap")
     survey = replace(clean, heights=(clean.heights + 0.05 / noise.std() * noise).astype(np.float32))
-    told = replace(survey, given_noise_m=0.05, noise_length_m=0.5).without_noise
+    told = replace(survey, given_noise_m=0.05, given_noise_length_m=0.5).without_noise
 
     def _twists(ground):
         """Of squares of two cells, of the error: what wheels feel of it."""
