@@ -22,6 +22,8 @@ _GROWTHS = np.linspace(1.0, 4.0, 13)
 """Powers of the side: 1 is the ground of ISO 8608 (density as wavelength squared), 2 random slopes, 4 smooth ground."""
 _SHORTEST_CELLS, _LENGTHS = 0.65, 33
 """Shorter noise counts as independent from cell to cell."""
+_LONGEST_M = 1.2
+"""What is longer is relief to a robot of a metre, and hills may be steeper than any class of roughness."""
 _SIDES_PER_LENGTH = 4.0
 """Twice the length must be seen to be beyond it."""
 _MISFIT = 0.1
@@ -58,7 +60,7 @@ def correlated_noise(
     `sides` (n,): of the squares [cells]; `variances` (n,): of half their twists [m2]; `squares` (n,): how many there
     are; `tails` (n,): ninth decile of their size over its median; `cells_m`: side of a cell [m].
     """
-    longest = sides[-1] / _SIDES_PER_LENGTH
+    longest = min(sides[-1] / _SIDES_PER_LENGTH, _LONGEST_M / cells_m)
     if longest <= _SHORTEST_CELLS or not np.all(variances > 0.0):
         return None
     weights = 1.0 / np.sqrt(_MISFIT**2 + _MEDIAN_VARIANCE * sides**2 / squares)

@@ -7,7 +7,7 @@ side of the square: that of ground always, that of noise up to twice the length 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -91,7 +91,7 @@ def estimated_noise(ground: Surveyed) -> SurveyNoise:
     if alike is None:
         return independent
     seen = alike.noise_m, alike.length_cells * cells_m
-    return SurveyNoise(independent.noise_m, 0.0, seen) if alike.may_be_ground else SurveyNoise(*seen)
+    return replace(independent, may_be_m=seen) if alike.may_be_ground else SurveyNoise(*seen)
 
 
 def noise_of(heights: FloatArray) -> float | None:

@@ -29,6 +29,8 @@ class VisibleFeatures:
         Length over which it is alike [m]; 0 where it is independent from cell to cell.
     noise_given : bool
         Whether the user gave it; else it was estimated.
+    may_be_noise_m : tuple of float or None
+        Standard deviation and length [m] of bumps that are taken for ground and have the shape of noise.
     slope_std_deg : float
         Standard deviation of the slope of a square metre [deg].
     least_bump_m : float
@@ -42,10 +44,32 @@ class VisibleFeatures:
     noise_m: float
     noise_length_m: float
     noise_given: bool
+    may_be_noise_m: tuple[float, float] | None
     slope_std_deg: float
     least_bump_m: float
     shortest_bump_m: float
     least_step_m: float | None
+
+    @property
+    def noise_in_words(self) -> str:
+        """What the noise is, and what may be noise."""
+        alike = f", alike over {self.noise_length_m:.2g} m" if self.noise_length_m else ""
+        noise = f"{1000.0 * self.noise_m:.1f} mm, " + ("given" if self.noise_given else "estimated") + alike
+        if self.noise_given:
+            return noise
+        if alike:
+            return f"{noise}: hardly any ground is as rough. Where it is, give --noise 0"
+        noise += " from what differs from cell to cell. "
+        if self.may_be_noise_m is None:
+            return (
+                f"{noise}Noise that is alike over some cells, as of a drone, is only seen where it exceeds bumps of "
+                "ground: otherwise give --noise and --noise-length"
+            )
+        return (
+            noise
+            + "Bumps of {:.2g} m (standard deviation) that are alike over {:.2g} m count as ground. If they are "
+            "noise, give --noise and --noise-length".format(*self.may_be_noise_m)
+        )
 
     def in_words(self, robot: Robot) -> tuple[str, str, str]:
         """Return a sentence on slopes, on bumps and on steps, for this robot."""
@@ -80,6 +104,7 @@ def visible_features(ground: Ground, robot: Robot) -> VisibleFeatures:
         noise_m,
         noise.length_m,
         ground.given_noise_m is not None,
+        noise.may_be_m,
         math.degrees(math.atan(slope)),
         BUMP_IN_NOISE * shown,
         2.0 * cells_m,

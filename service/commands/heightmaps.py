@@ -78,13 +78,7 @@ def info(
             "place": "{:.9g}, {:.9g} to {:.9g}, {:.9g}".format(*frame.bounds) + f", {frame.crs_in_words}",
             "heights": f"{low:.2f} to {high:.2f} m",
             "unknown": f"{1.0 - ground.known_share:.2%}",
-            "noise": f"{1000.0 * seen.noise_m:.1f} mm, "
-            + (
-                f"given, alike over {seen.noise_length_m:g} m"
-                if seen.noise_given
-                else "estimated from what differs from cell to cell. Noise that is alike over some cells, as of a "
-                "drone, looks like ground: give --noise and --noise-length"
-            ),
+            "noise": seen.noise_in_words,
             **({"kinds": ", ".join(f"{name} {share:.1%}" for name, share in kinds.items())} if kinds else {}),
             **dict(zip(("slopes", "bumps", "steps"), seen.in_words(rover), strict=True)),
         }

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
 import joulemap as jm
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.synthesis import TerrainRecipe, make_terrain
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.cli import app
 
@@ -127,3 +129,42 @@ def test_a_service_keeps_the_noise_beside_the_map(client, surveys):
     assert any("uncertain by about" in warning for warning in quiet["warnings"])
     assert quiet["energy_per_m"]["mean"] < as_it_is["energy_per_m"]["mean"] / 1.3
     assert client.post("/v1/heightmaps", files={"file": ("dem.tif", b"x")}, data={"noise_m": 11.0}).status_code == 422
+
+
+@pytest.fixture(scope="module")
+def photogrammetry(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Rough ground of 40 x 40 m on cells of 0.25 m, and the same with 100 mm of noise that is alike over 0.3 m."""
+    folder = tmp_path_factory.mktemp("photogrammetry")
+    rng = np.random.default_rng(8)
+    frame = GridFrame(0.0, 40.0, 0.25, 160, 160)
+    recipe = TerrainRecipe(max_slope_deg=8.0, roughness_rms_m=0.015, bumps_per_m2=1.0, relief_longest_m=30.0)
+    ground = make_terrain(recipe, frame, rng)
+    noise = gaussian_filter(rng.standard_normal(frame.shape), 0.3 / 0.25 / np.sqrt(2.0), mode="wrap")
+    write_geotiff(folder / "clean.tif", ground)
+    survey = ground.heights + np.float32(0.1 / noise.std()) * noise.astype(np.float32)
+    write_geotiff(folder / "noisy.tif", Heightmap(survey, frame))
+    (folder / "robot.toml").write_text("".join(f"{key} = {value}\n" for key, value in ROBOT.items()))
+    return {name: folder / f"{name}.tif" for name in ("clean", "noisy")}
+
+
+def test_noise_that_is_alike_over_a_cell_is_seen_and_taken_out(photogrammetry):
+    said = CliRunner().invoke(app, ["info", str(photogrammetry["noisy"]), "--json", "-"])
+    assert said.exit_code == 0, said.output
+    seen = json.loads(said.stdout)
+    assert seen["noise_m"] == pytest.approx(0.1, rel=0.1)
+    assert seen["noise_length_m"] == pytest.approx(0.3, rel=0.15)
+    clean, noisy = made(photogrammetry["clean"])[0], made(photogrammetry["noisy"])[0]
+    as_it_is = made(photogrammetry["noisy"], "--noise", "0")[0]
+    mean = clean["energy_per_m"]["mean"]
+    assert 0.8 * mean < noisy["energy_per_m"]["mean"] < 1.2 * mean  # rough ground that noise hides comes out as usual
+    assert as_it_is["energy_per_m"]["mean"] > 2.0 * mean
+    assert noisy["provenance"]["heightmap"]["noise_length_m"] == pytest.approx(0.3, rel=0.15)
+
+
+def test_ground_that_may_be_noise_stays_and_is_said(photogrammetry):
+    said = CliRunner().invoke(app, ["info", str(photogrammetry["clean"])])
+    assert said.exit_code == 0, said.output
+    assert "count as ground. If they are noise, give --noise and --noise-length" in " ".join(said.output.split())
+    ground = jm.read_heightmap(photogrammetry["clean"])
+    assert ground.noise_length_m == 0.0
+    assert ground.noise_m < 0.02
