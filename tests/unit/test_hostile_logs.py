@@ -1,8 +1,12 @@
 """Logs that were cut off or changed are read or refused in words, in bounded time and memory, with nothing printed."""
 
 import struct
+import sys
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
+import fitdecode
 import numpy as np
 import pytest
 
@@ -182,3 +186,33 @@ def test_more_messages_than_the_limit_are_too_many(tmp_path):
     path = files.write_tlog(tmp_path / "a.tlog", files.drive(20.0))
     with pytest.raises(TooLargeError, match=r"more than 50 messages of .* split it"):
         parse_run(path, name="run", crs=files.CRS, limits=TableLimits(rows=50))
+
+
+def test_threads_that_read_at_once_leave_the_standard_streams_to_the_others(tmp_path, monkeypatch, capsys):
+    content = files.write_fit(tmp_path / "drive.fit", files.drive(20.0)).read_bytes()
+    both_read, first_ended = threading.Barrier(3), threading.Event()
+
+    class Complaining(fitdecode.FitReader):
+        def __enter__(self):
+            print("a complaint")
+            both_read.wait(60)
+            if threading.current_thread().name.endswith("_1"):
+                first_ended.wait(60)
+            return super().__enter__()
+
+    monkeypatch.setattr(fitdecode, "FitReader", Complaining)
+    before = sys.stdout, sys.stderr
+
+    def _read():
+        parse_run(content, name="run", crs=files.CRS, limits=LIMITS)
+        first_ended.set()
+
+    with ThreadPoolExecutor(2) as pool:
+        reads = [pool.submit(_read), pool.submit(_read)]
+        both_read.wait(60)
+        for line in range(300):  # more than complaints of one file may be
+            print(line)
+        for read in reads:
+            read.result()
+    assert (sys.stdout, sys.stderr) == before
+    assert capsys.readouterr().out == "".join(f"{line}\n" for line in range(300))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import errno
-import io
 import struct
+import sys
+import threading
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -141,9 +143,8 @@ def log_of(streams: Sequence[Stream], wanted: Wanted, *, notes: Sequence[str] = 
 @contextmanager
 def reading(kind: str, name: str, place: Callable[[], str], *, repair: str = "") -> Iterator[None]:
     """Turn whatever a library raises on a broken file into an error that says where, and keep it from printing."""
-    said = _Complaints()
     try:
-        with redirect_stdout(said), redirect_stderr(said):
+        with _heard():
             yield
     except (JoulemapError, ImportError):
         raise
@@ -175,7 +176,7 @@ def _broken(kind: str, name: str, place: str, error: Exception, repair: str) -> 
     )
 
 
-class _Complaints(io.TextIOBase):
+class _Complaints:
     """Takes what a library prints about a broken file; too much of it ends the reading."""
 
     def __init__(self) -> None:
@@ -190,6 +191,53 @@ class _Complaints(io.TextIOBase):
             if self._lines > _MOST_COMPLAINTS:
                 raise ValueError(f"{self._first} (and {_MOST_COMPLAINTS} more of these)")
         return len(text)
+
+
+class _Hearing(threading.local):
+    """What hears this thread while it reads a log."""
+
+    said: _Complaints | None = None
+
+
+class _Switch:
+    """In place of a standard stream while any thread reads: only what such a thread prints does not get through."""
+
+    def __init__(self, beyond: Any) -> None:
+        self.beyond = beyond
+
+    def write(self, text: str) -> int:
+        """Pass a text on, or keep it from the stream."""
+        return (_hearing.said or self.beyond).write(text)  # type: ignore[no-any-return]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.beyond, name)
+
+
+_hearing = _Hearing()
+_readings = 0  # of all threads, now
+_lock = threading.Lock()
+
+
+@contextmanager
+def _heard() -> Iterator[None]:
+    """Hear what this thread prints; the standard streams come back with the last thread that reads."""
+    global _readings
+    outer, _hearing.said = _hearing.said, _Complaints()
+    with _lock:
+        _readings += 1
+        for name in ("stdout", "stderr"):
+            stream = getattr(sys, name)
+            if not (stream is None or isinstance(stream, _Switch)):
+                setattr(sys, name, _Switch(stream))
+    try:
+        yield
+    finally:
+        _hearing.said = outer
+        with _lock:
+            _readings -= 1
+            for name in ("stdout", "stderr") if not _readings else ():
+                stream = getattr(sys, name)
+                setattr(sys, name, stream.beyond if isinstance(stream, _Switch) else stream)
 
 
 def cut_off(kind: str, at: int, size: int) -> str:
