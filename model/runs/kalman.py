@@ -224,7 +224,7 @@ def _pass(t, begins, values, variances, of_rate, period, q, robust, back):
         f00 = p00 + 2.0 * dt * p01 + dt * dt * p11 + q * dt * dt * dt / 3.0
         f01 = p01 + dt * p11 + q * dt * dt / 2.0
         f11 = p11 + q * dt
-        det = f00 * f11 - f01 * f01
+        det = max(f00 * f11 - f01 * f01, 1e-15 * f00 * f11)  # rounding may leave nothing of the difference
         c00, c01, c10, c11 = p00 + dt * p01, p01, p01 + dt * p11, p11  # P F'
         g00, g01 = (c00 * f11 - c01 * f01) / det, (c01 * f00 - c00 * f01) / det
         g10, g11 = (c10 * f11 - c11 * f01) / det, (c11 * f00 - c10 * f01) / det

@@ -21,7 +21,7 @@ from rosbags.serde import cdr, ros1, utils
 
 from joulemap.model.errors import JoulemapError
 from joulemap.service.intake import guard
-from joulemap.service.intake.limits import ReadLimits, RunLimits
+from joulemap.service.intake.limits import ReadLimits, RunLimits, RunReading
 from joulemap.service.intake.readers import Readers
 from tests.fuzz.inputs import RUNS, input_of, read_one
 
@@ -92,7 +92,12 @@ async def _in_the_service(content: bytes, reader: str) -> str:
     with tempfile.NamedTemporaryFile() as file:
         file.write(content)
         file.flush()
-        given: dict[str, Any] = {"path": file.name, "name": reader, "limits_of_run": asdict(_RUN)}
+        given: dict[str, Any] = {
+            "path": file.name,
+            "name": reader,
+            "limits_of_run": asdict(_RUN),
+            "reading": RunReading().as_dict(),
+        }
         if reader not in RUNS:
             options = {"resolution_m": 0.5, "scale_m": 0.1}
             given = {
