@@ -24,30 +24,34 @@ _WORDS: dict[str, frozenset[str]] = {
     "t": _set(
         "t ts time times timestamp timestamps datetime date stamp clock elapsed seconds secs sec ms millis "
         "milliseconds us micros microseconds ns nanoseconds uptime epoch unix utc interval zeit zeitstempel "
-        "uhrzeit tiempo tempo tijd horodatage"
+        "uhrzeit tiempo tempo tijd horodatage 日時 時刻 時間 时间"
     ),
     "x": _set("x easting utmx east"),
     "y": _set("y northing utmy north"),
-    "z": _set("z altitude alt elevation elev elv ele height hohe hoehe altitud altezza hoogte"),
-    "lat": _set("lat latitude breite breitengrad latitud latitudine breedtegraad"),
-    "lon": _set("lon lng long longitude longtitude lange langengrad laengengrad longitud longitudine lengtegraad"),
+    "z": _set("z altitude alt elevation elev elv ele height hohe hoehe altitud altezza hoogte 標高 高度 海拔"),
+    "lat": _set("lat latitude breite breitengrad latitud latitudine breedtegraad 緯度 纬度"),
+    "lon": _set(
+        "lon lng long longitude longtitude lange langengrad laengengrad longitud longitudine lengtegraad 経度 经度"
+    ),
     "voltage": _set(
         "voltage voltages volts volt u v vbat vbatt vin vbus ubat ubatt spannung tension voltaje tensione "
-        "tensao spanning"
+        "tensao spanning 電圧 电压"
     ),
     "current": _set(
-        "current curr cur amps amp amperes amperage a i ibat ibatt iin ibus strom courant corriente corrente stroom"
+        "current curr cur amps amp amperes amperage a i ibat ibatt iin ibus strom courant corriente corrente stroom "
+        "電流 电流"
     ),
-    "power": _set("power watts watt pwr w p pbat leistung puissance potencia potenza vermogen"),
+    "power": _set("power watts watt pwr w p pbat leistung puissance potencia potenza vermogen 電力 功率"),
     "energy": _set("energy enrg consumed used consumption drawn discharged wh kwh joules energie energia verbrauch"),
     "charge": _set("charge consumed used consumption drawn discharged ah mah coulombs"),
     "soc": _set("soc percent percentage level charge remaining ladezustand"),
     "distance": _set(
         "distance dist odometer odo mileage trip travelled mile strecke entfernung kilometerstand distanz "
-        "distancia distanza afstand"
+        "distancia distanza afstand 距離 距离 里程"
     ),
     "speed": _set(
-        "speed velocity vel spd kmph kmh kph mph mps geschwindigkeit vitesse velocidad velocita velocidade snelheid"
+        "speed velocity vel spd kmph kmh kph mph mps geschwindigkeit vitesse velocidad velocita velocidade snelheid "
+        "速度 車速 车速"
     ),
     "heading": _set("heading yaw course bearing cog hdg"),
 }
@@ -66,7 +70,7 @@ _ABOUT = _set(
     "tot sum setup overall all input in bus dc hv supply system sys sensor measured actual value data inverter "
     "vehicle car robot base mcu esc vesc of the and today abs log logged header since start device obd traction "
     "ground location loc geo coordinates point track enhanced is true field msg message data hybrid bms filtered body "
-    "tform transform discharge ev batterie bateria akku accu gesamt fahrzeug vehicule"
+    "tform transform discharge ev batterie bateria akku accu gesamt fahrzeug vehicule 電池 电池 double"
 )
 """Words that do not change what a column is."""
 

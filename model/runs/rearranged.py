@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from joulemap.model.runs.formats.contract import Stream
-from joulemap.model.runs.names import words_of
+from joulemap.model.runs.names import candidate, words_of
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.runs.units import known_unit, unit_in_name
 
 _WORDS = "pid field name signal variable metric entity sensor parameter channel topic key tag diagnostic"
 _NAMES = frozenset(_WORDS.split(" "))
+_NAMED = ("voltage", "current", "power", "speed", "lat")
 _VALUES = ("value", "state", "reading", "val", "data")
 _UNITS = ("unit", "units")
 _LETTERS = re.compile(r"[^\W\d]")
@@ -40,11 +41,18 @@ def _with_units(stream: Stream) -> Stream:
 
 def _by_name(stream: Stream, name: str, limits: TableLimits) -> Stream:
     """Rows of a name and a value, as loggers of cars, InfluxDB and Home Assistant write them, with a column by name."""
-    values = [column for column in stream.numbers if {*_VALUES} & {*words_of(column)}]
+    no_times = [column for column in stream.numbers if candidate("t", column, stream.units.get(column, "")) is None]
+    values = [column for column in no_times if {*_VALUES} & {*words_of(column)}] or no_times
     if len(values) != 1:
         return stream
-    kinds = {column: np.unique(texts, return_inverse=True) for column, texts in _called(stream, _NAMES).items()}
-    several = {column: kind for column, kind in kinds.items() if 1 < kind[0].size <= _MOST_NAMES}
+    kinds = {column: np.unique(texts, return_inverse=True) for column, texts in stream.texts.items()}
+    called = _called(stream, _NAMES)
+    several = {
+        column: kind
+        for column, kind in kinds.items()
+        if 1 < kind[0].size <= _MOST_NAMES
+        and (column in called or any(candidate(target, each) for each in kind[0].tolist() for target in _NAMED))
+    }
     if not several:
         return stream
     column = max(several, key=lambda each: several[each][0].size)

@@ -127,7 +127,7 @@ def _candidates(target: str, stream: Stream, taken: Collection[str]) -> list[Can
     speaking = [each for each in found if each.unit == DATE or _speaks(target, stream.numbers[each.column])]
     if target not in ("lat", "lon"):  # nothing but zeros, as receivers without a fix write, is no position
         speaking = speaking or found
-    if target in ("lat", "lon", "x", "y"):  # a receiver without a fix writes the same in every row
+    if target in ("lat", "lon", "x", "y", "z"):  # a receiver without a fix writes the same in every row
         speaking = [each for each in speaking if spread(stream.numbers[each.column])] or speaking
     if target == "t" and any(each.sureness for each in speaking):
         speaking = [each for each in speaking if each.sureness]

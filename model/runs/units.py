@@ -106,7 +106,7 @@ _PHRASES = (
 """Units that are written out, or with bars."""
 PER_ROW, COUNTED = "/row", ("distance", "energy", "charge")
 """What a unit ends with where each row says what came since the row before, and the columns that may have it."""
-_BRACKETED = re.compile(r"^(.*?)[\s_]*[\[(]\s*([^\])]+?)\s*[\])]\s*$")
+_BRACKETED = re.compile(r"^(.*?)[\s_]*[\[(]\s*([^\])]+?)\s*[\])][\s'\"]*$")
 
 
 def quantity_of(target: str) -> str | None:

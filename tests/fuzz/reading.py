@@ -92,22 +92,13 @@ async def _in_the_service(content: bytes, reader: str) -> str:
     with tempfile.NamedTemporaryFile() as file:
         file.write(content)
         file.flush()
-        given: dict[str, Any] = {
-            "path": file.name,
-            "name": reader,
-            "limits_of_run": asdict(_RUN),
-            "reading": RunReading().as_dict(),
-        }
-        if reader not in RUNS:
+        given: dict[str, Any] = {"path": file.name, "name": reader}
+        task = "run" if reader in RUNS else "heightmap"
+        if task == "run":
+            given |= {"limits_of_run": asdict(_RUN), "reading": RunReading().as_dict()}
+        else:
             options = {"resolution_m": 0.5, "scale_m": 0.1}
-            given = {
-                "path": file.name,
-                "name": reader,
-                "out": f"{file.name}.tif",
-                "max_cells": 10**6,
-                "options": options,
-            }
-        task = "run" if "limits_of_run" in given else "heightmap"
+            given |= {"out": f"{file.name}.tif", "max_cells": 10**6, "options": options}
         try:
             with contextlib.closing(Readers(processes=1, queue=1, limits=ReadLimits(5.0, 750.0))) as readers:
                 await readers.read(task, **given)

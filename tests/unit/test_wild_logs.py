@@ -161,21 +161,71 @@ def test_degrees_and_minutes_are_read_as_text_and_as_numbers():
         assert np.ptp(run.y) == pytest.approx(ROWS * 8.1e-6 * 110_955, rel=0.01)
 
 
-@pytest.mark.parametrize("kind", ["lines", "records", "columns", "rows", "split"])
+@pytest.mark.parametrize("kind", ["lines", "records", "columns", "rows", "split", "streams", "lists", "keys"])
 def test_json_of_any_shape(kind):
     records = [
         {"time": t, "pos": {"x": x, "y": 4e6}, "battery": {"voltage": v, "current": i}}
         for t, x, v, i in zip(T.tolist(), X.tolist(), VOLTS.tolist(), AMPS.tolist(), strict=True)
     ]
     plain = {key: values.tolist() for key, values in PLAIN.items()}
+    names = [*plain][1:]
     text = {
         "lines": "\n".join(map(json.dumps, records)),
         "records": json.dumps({"about": {"name": "n"}, "data": {"points": records}}, indent=1),
         "columns": json.dumps({"log": plain}),
         "rows": json.dumps([list(plain), *map(list, zip(*plain.values(), strict=True))]),
+        "streams": json.dumps([{"type": key, "unit": "", "data": values} for key, values in plain.items()]),
+        "lists": json.dumps(
+            {
+                key: [{"ts": 1.7e12 + 1e3 * t, "value": f"{v:.6f}"} for t, v in zip(plain["t"], values, strict=True)]
+                for key, values in plain.items()
+                if key != "t"
+            }
+        ),
+        "keys": json.dumps(
+            [
+                {
+                    "time": t,
+                    "data": [{"key": key, "value": {"doubleValue": v}} for key, v in zip(names, row, strict=True)],
+                }
+                for t, *row in zip(*plain.values(), strict=True)
+            ]
+        ),
         "split": json.dumps({"columns": list(plain), "data": list(zip(*plain.values(), strict=True))}),
     }[kind]
     as_it_was(parse_run(text, name="r.json"))
+
+
+LONG = [(t, key, v) for t, *row in zip(*PLAIN.values(), strict=True) for key, v in zip([*PLAIN][1:], row, strict=True)]
+WORDS = {"t": "日時", "lat": "緯度", "lon": "経度", "voltage": "電圧(V)", "current": "電流(A)"}
+SHAPES = {
+    "rows of a quantity": ["Series;Time;Reading", *(f"{key};{t};{v:.6f}" for t, key, v in LONG)],
+    "no header": [f"2025-03-29T14:{t // 60:02.0f}:{t % 60:04.1f}Z robot/{key} {v:.6f}" for t, key, v in LONG],
+    "fields and values": [
+        "Type,Field 1,Value 1,Units 1,Field 2,Value 2,Units 2,Field 3,Value 3,Units 3,Field 4,Value 4,Units 4",
+        *(
+            f'Data,timestamp,"{t}",s,x,"{x:.6f}",m,y,"4000000",m,power,"{v * i:.6f}",W,'
+            for t, x, v, i in zip(T, X, VOLTS, AMPS, strict=True)
+        ),
+    ],
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_rows_that_name_their_quantities(shape):
+    as_it_was(parse_run("\n".join(SHAPES[shape]) + "\n", name="r"))
+
+
+@pytest.mark.parametrize("encoding", ["cp932", "gb18030", "utf-8"])
+def test_names_of_east_asia_are_read_in_their_encodings(encoding):
+    columns = without("x", "y", lat=36.1 + 8.1e-6 * np.arange(ROWS), lon=np.full(ROWS, -4.1))
+    words = (
+        {**WORDS, "lat": "纬度", "lon": "经度", "voltage": "电压(V)", "t": "时间"} if encoding == "gb18030" else WORDS
+    )
+    text = "\n".join(lines({words[key]: values for key, values in columns.items()}, digits=7)) + "\n"
+    run = parse_run(text.encode(encoding), name="r", crs="EPSG:32630")
+    assert np.ptp(run.y) == pytest.approx(ROWS * 8.1e-6 * 110_955, rel=0.01)
+    assert run.energy()[0] == pytest.approx(JOULES, rel=0.01)
 
 
 @pytest.mark.parametrize("irregular", [False, True])

@@ -18,6 +18,7 @@ from joulemap.model.source_file import SourceFile
 _DEEPEST = 12
 _ORDERS = {"coordinates": ("lon", "lat", "alt"), **dict.fromkeys(("latlng", "latlon", "lat_lng"), ("lat", "lon"))}
 _BEGINNING = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\{|\[\s*[{\["])')
+_NAMES = ("name", "target", "key", "type", "field", "signal")
 _LONGEST_LIST = 16  # a longer list in a record is no reading
 
 
@@ -114,6 +115,9 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
         series = [each for item in value if isinstance(item, dict) for each in _series(item)]
         if series:
             yield series
+        columns = {_name_of(item): _only_list(item) for item in value[:LONGEST_NAME] if isinstance(item, dict)}
+        if len(columns) > 1 and all(name and _is_long(each) for name, each in columns.items()):
+            yield from _tables(columns, depth + 1)
         if len(value) >= LEAST_ROWS and all(isinstance(item, dict) for item in value):
             yield value
         elif len(value) >= LEAST_ROWS and all(isinstance(item, list) for item in value):
@@ -132,6 +136,9 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
         lists = {key: item for key, item in value.items() if isinstance(item, list) and len(item) >= LEAST_ROWS}
         lengths = {len(item) for item in lists.values()}
         plain = [key for key, item in lists.items() if not isinstance(item[0], dict) and not _is_long(item[0])]
+        series = {key: item[0].keys() for key, item in lists.items() if isinstance(item[0], dict)}
+        if len(series) > 1 and len({frozenset(each) for each in series.values()}) == 1:
+            yield [{"name": key} | row for key in series for row in lists[key] if isinstance(row, dict)]
         if len(plain) > 1 and len(lengths) == 1:
             yield [dict(zip(plain, row, strict=True)) for row in zip(*(lists[key] for key in plain), strict=True)]
         elif len(value) >= LEAST_ROWS and all(isinstance(item, dict) and item for item in value.values()):
@@ -144,10 +151,16 @@ def _series(item: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """The values of a series that is named beside them: `{"metric": {...}, "values": [[1709994611, "5.2"], ...]}`."""
     lists = [each for key, each in item.items() if _is_long(each) and key not in _ORDERS]
     pairs = [each for each in lists if all(isinstance(pair, list) and len(pair) == 2 for pair in each)]
-    words = _flat({key: each for key, each in item.items() if not isinstance(each, list)})
-    name = next((str(words[key]) for key in words if key.rpartition(".")[2].strip("_") in ("name", "target")), "")
-    if len(pairs) == 1 and name:
+    name = _name_of(item)
+    if len(pairs) == 1 and name and name not in _ORDERS:
         yield from ({"time": time, "name": name, "value": value} for time, value in pairs[0])
+
+
+def _name_of(item: Any) -> str:
+    """What a record says that it is of; empty where it says nothing."""
+    plain = {key: each for key, each in item.items() if not isinstance(each, list)} if isinstance(item, dict) else {}
+    words = _flat(plain)
+    return next((str(words[key]) for key in words if key.rpartition(".")[2].strip("_") in _NAMES), "")
 
 
 def _only_list(item: Any) -> Any:
@@ -170,7 +183,7 @@ def _flat(value: Any, front: str = "", depth: int = 0) -> dict[str, Any]:
         if len(value) > _LONGEST_LIST or depth > _DEEPEST:
             return {}
         names = next((axes for word, axes in _ORDERS.items() if f".{front}".endswith(f".{word}")), ())
-        items = [(names[k] if k < len(names) else str(k), item) for k, item in enumerate(value)]
+        items = [(names[k] if k < len(names) else _name_of(item) or str(k), item) for k, item in enumerate(value)]
     elif isinstance(value, dict):
         if depth > _DEEPEST:
             return {}

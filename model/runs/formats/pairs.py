@@ -12,15 +12,20 @@ from joulemap.model.runs.table import TableLimits, add_count
 from joulemap.model.source_file import SourceFile
 
 _PAIR = re.compile(
-    r"(?<![^\s,;(])([A-Za-z_][\w.\[\]/-]{0,100})\s?[=:]\s?([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s?([A-Za-z%/]*)(?=[\s,;)]|$)"
+    r"(?<![^\s,;(])([A-Za-z_][\w.\[\]/-]{0,100})(?:\s?[=:]\s?|,\"?)([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
+    r"(?:\s|\",)?([A-Za-z%/]*)(?=[\s,;)]|$)"
 )
 _STAMP = re.compile(r"^\s*(?:\[[A-Za-z]+\]\s*)?[(\[]?\s*(\d[\d.:TZ+ -]{5,40}?)\s*[)\],; ]|(?<=\s)(\d{9,19})\s*$")
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the first lines: two pairs in each."""
+    """Decide by the first lines: two pairs with a mark in each, or most cells in pairs, below the first line."""
     lines = [line for line in head.decode("utf-8", "replace").split("\n")[:-1][:5] if line.strip()]
-    return bool(lines) and all(len(_PAIR.findall(line)) > 1 for line in lines)
+    pairs = [[pair[0] for pair in _PAIR.finditer(line)] for line in lines]
+    marked = [sum("=" in pair or ":" in pair for pair in found) for found in pairs]
+    cells = [len(re.findall("[^,]+", line)) for line in lines]
+    columns = len(lines) > 1 and all(4 * len(found) > n > 4 for found, n in zip(pairs[1:], cells[1:], strict=True))
+    return bool(lines) and (min(marked) > 1 or columns)
 
 
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:

@@ -10,6 +10,7 @@ import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from joulemap.model.errors import RunsError, TooLargeError
@@ -21,7 +22,11 @@ from joulemap.model.source_file import SourceFile
 
 _SEPARATORS = (",", ";", "\t", "|")
 _BEFORE_HEADER = re.compile(rb"(?:(?:[#%][^\n]*+)?+\n++)*+")  # comments and empty lines, millions too
-_OTHER_ENCODING = "cp1252"  # what spreadsheets write in Western Europe and America
+_ENCODINGS = {  # of spreadsheets, with what tells each: four bytes in a row that no word of another has
+    "cp932": re.compile(rb"(?:[\x81-\x98][\x40-\xfc]){2}"),
+    "gb18030": re.compile(rb"(?:[\xb0-\xf7][\xa1-\xfe]){2}"),
+    "cp1252": re.compile(b""),
+}
 _LONGEST_HEADER = 1_000_000  # bytes of the line with the names
 _SAMPLE_LINES, _SAMPLE_BYTES = 100, 1 << 18
 _COMMENT_LINES = 3  # before the table, which may be its header
@@ -110,13 +115,19 @@ def _utf8(content: bytes, name: str) -> bytes:
     except UnicodeDecodeError as error:
         if _CONTROL.search(content):
             raise _no_text(name, error) from error
-        try:
-            content = content.decode(_OTHER_ENCODING).encode()
-        except UnicodeError:
-            content = content.decode("latin-1").encode()
+        content = _decoded(content).encode()
     if b"\r" in content:
         content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return content.removeprefix(_BYTE_ORDER_MARK)
+
+
+def _decoded(content: bytes) -> str:
+    """A text that is not in UTF-8: in Japanese, Chinese, or an encoding of Western Europe."""
+    for encoding, telling in _ENCODINGS.items():
+        with suppress(UnicodeDecodeError):
+            if telling.search(content):
+                return content.decode(encoding)
+    return content.decode("latin-1")
 
 
 def _no_text(name: str, error: Exception) -> RunsError:
@@ -155,6 +166,8 @@ def _header(content: bytes, name: str, limits: TableLimits) -> tuple[str, list[s
     first = _first_row(rows, values, usual)
     block = _block(rows, first)
     if not block:
+        if [_is_value(cell) for cell in rows[0]] == [True, False, True]:  # without a header
+            return separator, ["time", "name", "value"], [], b"", start
         if first == 0 and len(rows[0]) > 2 and all(map(_NUMBER.match, filter(None, rows[0]))):
             raise RunsError(
                 f"run {name}: its first line is {', '.join(rows[0])[:80]!r}: write a line with the names of the "
