@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, Self
 
 
 class JoulemapError(Exception):
@@ -48,6 +48,11 @@ class JoulemapError(Exception):
         super().__init__(message)
         self.message = message
         self.context = context
+
+    @classmethod
+    def of_run(cls, run: str, words: str, **context: Any) -> Self:
+        """Return the error of a measured run, whose name comes before the words and is in the context."""
+        return cls(f"run {run}{words if words[0] in ' ,' else f': {words}'}", run=run, **context)
 
 
 class InputError(JoulemapError):

@@ -39,10 +39,10 @@ def numbers_of(stream: Stream, column: str, name: str) -> FloatArray:
         return stream.numbers[column]
     cells = stream.texts[column]
     row = next((k for k, cell in enumerate(cells.tolist()) if cell.strip()), 0)
-    raise RunsError(
-        f"run {name}, column {column[:80]!r}, row {row + 2}: {str(cells[row])[:80]!r} is not a number, and most of its "
+    raise RunsError.of_run(
+        name,
+        f", column {column[:80]!r}, row {row + 2}: {str(cells[row])[:80]!r} is not a number, and most of its "
         "cells are none",
-        run=name,
         column=column[:80],
         row=row + 2,
     )

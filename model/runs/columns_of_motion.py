@@ -179,19 +179,18 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
         if made is None:
             _ask_for_unit(numbers["t"], counted, found.chosen["distance"], name)
         if made is None and not counts:
-            raise RunsError(
-                f"run {name}: its distance rises and falls again and again, so it does not count from the begin: give "
-                "a speed; or say that it is since the row before, "
-                f"distance={found.chosen['distance'].columns[0][:60]}:m/row",
-                run=name,
+            raise RunsError.of_run(
+                name,
+                "its distance rises and falls again and again, so it does not count from the begin: give a speed; or "
+                f"say that it is since the row before, distance={found.chosen['distance'].columns[0][:60]}:m/row",
                 column="distance",
             )
         unit = "" if made is None else agreement.contradiction(counted, made)
         if unit and found.chosen["distance"].unit and found.chosen["speed"].unit:
-            raise RunsError(
-                f"run {name}: its distance is {unit} times the sum of its speed, so the unit of one is wrong: say "
+            raise RunsError.of_run(
+                name,
+                f"its distance is {unit} times the sum of its speed, so the unit of one is wrong: say "
                 f"it with a mapping, such as speed={found.chosen['speed'].columns[0][:60]}:km/h",
-                run=name,
                 column="distance",
             )
         if made is not None and counts and not unit:
@@ -210,7 +209,7 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
     elif "distance" not in numbers and (flows(numbers) or "soc" in numbers):  # else that is what is missing
         for key in ("lat", "lon", "x", "y", "distance", "speed"):
             if key in found.questions:
-                raise RunsError(f"run {name}: {found.questions[key]}", run=name, column=key)
+                raise RunsError.of_run(name, found.questions[key], column=key)
 
 
 def _ask_for_unit(t: FloatArray, counted: FloatArray, source: Source, name: str) -> None:
@@ -221,11 +220,11 @@ def _ask_for_unit(t: FloatArray, counted: FloatArray, source: Source, name: str)
         return
     mean = float(np.nanmax(counted) / max(np.ptp(t[known]), 1e-9))
     if 0.0 < mean < agreement.DRIVEN_MPS[0] or mean > _FAST_KMPH / 3.6:
-        raise RunsError(
-            f"run {name}: {column[:60]} rises by {mean:.3g} a second: in m, km, mi or ft? Say it with a mapping, such "
+        raise RunsError.of_run(
+            name,
+            f"{column[:60]} rises by {mean:.3g} a second: in m, km, mi or ft? Say it with a mapping, such "
             f"as distance={column[:60]}:{'ft' if mean > 1.0 else 'km'}; if each row is what came since the row before, "
             f"distance={column[:60]}:m/row",
-            run=name,
             column="distance",
         )
 

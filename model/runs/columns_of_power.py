@@ -62,11 +62,11 @@ def check_power(
             numbers["power"] = UNITS["power"][unit][0] * numbers["power"]
             if speed is not None and agreement.drives_nothing(numbers["power"], speed):
                 column = chosen["power"].columns[0][:60]
-                raise RunsError(
-                    f"run {name}: nothing in it carries power: {column} is less than the air takes at that speed if it "
+                raise RunsError.of_run(
+                    name,
+                    f"nothing in it carries power: {column} is less than the air takes at that speed if it "
                     "is in W, and as large at rest as while driving if it is in kW. If it is the power all the same, "
                     f"say its unit with a mapping, such as power={column}:kW",
-                    run=name,
                     column="power",
                 )
             reading["power"] = words_of("power", chosen["power"], unit)
@@ -89,10 +89,10 @@ def check_power(
     for unit, (factor, _) in UNITS["power"].items():
         ratio = factor / conversion("power", chosen["power"].unit or "W")[0]
         if not kept and disagreement(ratio * numbers["power"], product) <= _AGREE:
-            raise RunsError(
-                f"run {name}: {column[:60]} is {1 / ratio:g} times voltage times current, so the unit of one is "
+            raise RunsError.of_run(
+                name,
+                f"{column[:60]} is {1 / ratio:g} times voltage times current, so the unit of one is "
                 f"wrong: say it with a mapping, such as power={column[:60]}:{unit}, or current=...:mA",
-                run=name,
                 column="power",
             )
     found.notes.append(
@@ -122,10 +122,10 @@ def take_counters(
         if counter in numbers and "t" in numbers and not drawn:
             if is_per_row(numbers[counter]):
                 column, unit = found.chosen[counter].columns[0][:60], found.chosen[counter].unit or own_unit(counter)
-                raise RunsError(
-                    f"run {name}: {column} rises and falls again and again, so it does not count from the begin: if it "
+                raise RunsError.of_run(
+                    name,
+                    f"{column} rises and falls again and again, so it does not count from the begin: if it "
                     f"is what came since the row before, say so with a mapping, {counter}={column}:{unit}/row",
-                    run=name,
                     column=counter,
                 )
             rate = rate_of(numbers["t"], total_of(numbers[counter]))
@@ -142,4 +142,4 @@ def take_counters(
             not drawn and "soc" not in numbers if key != "voltage" else "current" in numbers and "power" not in numbers
         )
         if question and missing:
-            raise RunsError(f"run {name}: {question}", run=name, column=key)
+            raise RunsError.of_run(name, question, column=key)

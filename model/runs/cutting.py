@@ -58,7 +58,7 @@ def cut_segments(
     if length_m is not None and not (math.isfinite(length_m) and length_m > 0):
         raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=str(length_m))
     if not (np.isfinite(run.x) & np.isfinite(run.y)).any():
-        raise RunsError(f"run {run.name}: there is no usable position", run=run.name)
+        raise RunsError.of_run(run.name, "there is no usable position")
     if length_m is None:
         length_m = segment_length(run)
     track = arc_track(run, length_m)

@@ -131,10 +131,10 @@ def _positions(run: Run) -> FloatArray:
     z = run.extras.get("z")
     if z is None or not np.isfinite(z).any():
         what = "no column 'z'" if z is None else "only blanks in the column 'z'"
-        raise RunsError(
-            f"run {run.name} has {what}: a surface through driven positions needs their heights [m]. Give a surveyed "
+        raise RunsError.of_run(
+            run.name,
+            f" has {what}: a surface through driven positions needs their heights [m]. Give a surveyed "
             "heightmap instead",
-            run=run.name,
             column="z",
         )
     points = np.stack([run.x, run.y, z])

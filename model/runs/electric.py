@@ -91,10 +91,10 @@ def electric(
         current = _repaired(current, 1.0, "current", parts if summed else ["current"])
         return current, voltage, power, how, summed
     if power is None:
-        raise RunsError(
-            f"run {name}: there is neither a column 'current', nor any 'current_*', nor 'power'"
+        raise RunsError.of_run(
+            name,
+            f"there is neither a column 'current', nor any 'current_*', nor 'power'"
             f"{columns_there(numbers)}; a mapping says which it is, like current=batt_current_mA:mA",
-            run=name,
             column="current",
         )
     if voltage is None:
@@ -223,9 +223,7 @@ def _wheels_of(parts: Mapping[str, FloatArray], numbers: Mapping[str, FloatArray
 def _without_blanks(t: FloatArray, values: FloatArray, key: str, name: str, repairs: dict[str, int]) -> FloatArray:
     blank = ~np.isfinite(values)
     if blank.mean() > 0.5:
-        raise RunsError(
-            f"run {name}, column {key!r}: {int(blank.sum())} of {t.size} cells are blank", run=name, column=key
-        )
+        raise RunsError.of_run(name, f", column {key!r}: {int(blank.sum())} of {t.size} cells are blank", column=key)
     add_count(repairs, f"blank_{key}", int(blank.sum()))
     return np.interp(t, t[~blank], values[~blank])
 

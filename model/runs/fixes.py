@@ -46,16 +46,12 @@ def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> 
         if half is not None:
             there, missing = half if half[0] in numbers else half[::-1]
             lack = f"a position {there!r} and no {missing!r}"
-        raise RunsError(
-            f"run {name}: there is {lack}{columns_there(numbers)}; {hint}",
-            run=name,
-            column="x",
-        )
+        raise RunsError.of_run(name, f"there is {lack}{columns_there(numbers)}; {hint}", column="x")
     lat, lon = numbers["lat"], numbers["lon"]
     if crs is None:
         zone = _zone_of(lat, lon)
         advice = f": give `crs`, such as {zone}, the UTM zone of these positions" if zone else ""
-        raise RunsError(f"run {name}: 'lat' and 'lon' need the heightmap's CRS{advice}", run=name, column="lat")
+        raise RunsError.of_run(name, f"'lat' and 'lon' need the heightmap's CRS{advice}", column="lat")
     written = np.isfinite(lat) & np.isfinite(lon)
     known = written & _on_earth(lat, lon)
     if known.sum() < 0.5 * written.sum():
@@ -65,10 +61,10 @@ def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> 
     swapped = _belongs_to(lon[known], lat[known], crs) and not _belongs_to(lat[known], lon[known], crs)
     if written.any() and (swapped or not np.isfinite(x).any()):
         hint = "; with 'lat' and 'lon' exchanged they would lie in it" if swapped else ""
-        raise RunsError(
-            f"run {name}: its positions, 'lat' {_range(lat[known])} and 'lon' {_range(lon[known])}, lie outside the "
+        raise RunsError.of_run(
+            name,
+            f"its positions, 'lat' {_range(lat[known])} and 'lon' {_range(lon[known])}, lie outside the "
             f"area of the heightmap's CRS {crs[:80]}{hint}",
-            run=name,
             column="lat",
             crs=crs,
         )
@@ -133,10 +129,10 @@ def _not_on_earth(lat: FloatArray, lon: FloatArray, name: str) -> RunsError:
     hint = "; with 'lat' and 'lon' exchanged all positions would lie on Earth" if _on_earth(lon, lat).all() else ""
     if not hint and np.abs(values).max() > _LEAST_E7 and _on_earth(1e-7 * lat, 1e-7 * lon).all():
         hint = "; in 1e-7 degrees they would lie on Earth: a mapping says so, lat=lat:degE7,lon=lon:degE7"
-    return RunsError(
-        f"run {name}, column {column!r}: its values are {_range(values)}, but degrees of {column} lie within "
+    return RunsError.of_run(
+        name,
+        f", column {column!r}: its values are {_range(values)}, but degrees of {column} lie within "
         f"{-most:g}..{most:g}{hint}",
-        run=name,
         column=column,
         lowest=float(values.min()),
         highest=float(values.max()),

@@ -25,9 +25,8 @@ def joined(parts: Mapping[str, Stream], name: str, limits: TableLimits) -> Strea
     tables = {file: {**stream.numbers, **stream.texts} for file, stream in parts.items()}
     for (one, columns), (other, others) in combinations(tables.items(), 2):
         if columns.keys() == others.keys():
-            raise RunsError(
-                f"run {name} holds several logs: {one} and {other} have the same columns. Give them one by one",
-                run=name,
+            raise RunsError.of_run(
+                name, f" holds several logs: {one} and {other} have the same columns. Give them one by one"
             )
     first, *rest = parts.values()
     clocks = [
@@ -37,10 +36,10 @@ def joined(parts: Mapping[str, Stream], name: str, limits: TableLimits) -> Strea
         and candidate("t", column) is not None
     ]
     if not clocks:
-        raise RunsError(
-            f"run {name} holds {', '.join(parts)[:200]}, which have no column of time in common: with one clock they "
+        raise RunsError.of_run(
+            name,
+            f" holds {', '.join(parts)[:200]}, which have no column of time in common: with one clock they "
             "are read as one log",
-            run=name,
         )
     _check_clocks(parts, clocks[0], name)
     count = Counter(column for columns in tables.values() for column in columns)
@@ -78,8 +77,8 @@ def _check_clocks(parts: Mapping[str, Stream], clock: str, name: str) -> None:
         unit = np.log10((high - low) / (end - begin)) / 3.0  # of s, ms, us, ns
         apart = end < low or begin > high
         if apart or (unit > 0.5 and abs(unit - round(unit)) < _SAME_SPAN):
-            raise RunsError(
-                f"run {name} holds tables whose `{clock}` is not one clock: {begin:g} to {end:g} in {file}, "
+            raise RunsError.of_run(
+                name,
+                f" holds tables whose `{clock}` is not one clock: {begin:g} to {end:g} in {file}, "
                 f"{low:g} to {high:g} in {longest}. Give all of them the same unit and beginning",
-                run=name,
             )

@@ -60,7 +60,7 @@ def read_log(
     table.format, table.notes = kind.name, (*log.notes, *table.notes)
     rows = max((len(values) for values in (*table.numbers.values(), *table.texts.values())), default=0)
     if rows < LEAST_ROWS:
-        raise RunsError(f"run {name}: {rows} rows are too few, at least {LEAST_ROWS} are needed", run=name)
+        raise RunsError.of_run(name, f"{rows} rows are too few, at least {LEAST_ROWS} are needed")
     return table
 
 
@@ -74,9 +74,7 @@ def _decoded(
             raise
         raise kind.missing(source.name, error) from error
     if not log.streams:
-        raise RunsError(
-            f"run {source.name}: the {kind.name} holds nothing of a drive: no power, no position", run=source.name
-        )
+        raise RunsError.of_run(source.name, f"the {kind.name} holds nothing of a drive: no power, no position")
     return kind, log
 
 
@@ -89,7 +87,7 @@ def _of_several(
         kind = _format_of(part)
         log = _decoded(part, kind, limits, mapping, repairs)[1] if kind.text else Log(())
         if len(log.streams) != 1 or log.streams[0].t is not None or not log.streams[0].numbers:
-            raise RunsError(f"run {name}: {part.name} is no table: give one log, or its tables alone", run=name)
+            raise RunsError.of_run(name, f"{part.name} is no table: give one log, or its tables alone")
         parts[part.name.rpartition(".")[0] or part.name] = rearranged(log.streams[0], name, limits)
     return kind, table_of(joined(parts, name, limits), mapping, name, repairs)
 
@@ -120,9 +118,7 @@ def _of_folder(folder: Path, name: str) -> SourceFile:
     """The files of a folder, as a zip of it would hold them."""
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     if not 0 < len(files) <= MOST_TABLES:
-        raise RunsError(
-            f"run {name}: the folder {folder} holds {len(files)} files: one log has 1 to {MOST_TABLES}", run=name
-        )
+        raise RunsError.of_run(name, f"the folder {folder} holds {len(files)} files: one log has 1 to {MOST_TABLES}")
     first, *rest = files
     beside = tuple((path.name, path.read_bytes()) for path in rest)
     return SourceFile(first, first.name, head_of(first), beside=beside)
@@ -188,17 +184,17 @@ def _common_stamps(log: Log, chosen: Mapping[str, Source], home: Mapping[str, St
     power, place = _streams(_POWER), _streams(_PLACE) or _streams(_WAY)
     there = ", ".join(stream.name for stream in log.streams)[:300]
     if not power:
-        raise RunsError(
-            f"run {name}: no message with a current or a power was found (in {there}); say which with a mapping, "
+        raise RunsError.of_run(
+            name,
+            f"no message with a current or a power was found (in {there}); say which with a mapping, "
             "such as current=/battery.current:A",
-            run=name,
             column="current",
         )
     if not place:
-        raise RunsError(
-            f"run {name}: no message with a position was found (in {there}); say which with a mapping, such as "
+        raise RunsError.of_run(
+            name,
+            f"no message with a position was found (in {there}); say which with a mapping, such as "
             "lat=/fix.latitude,lon=/fix.longitude",
-            run=name,
             column="x",
         )
     base = min([*power, *place], key=_period)
@@ -213,9 +209,8 @@ def _common_stamps(log: Log, chosen: Mapping[str, Source], home: Mapping[str, St
             for stream in (*power, *place)
             if stream.t is not None
         )
-        raise RunsError(
-            f"run {name}: power and position were not logged at the same time ({spans[:300]}): have they one clock?",
-            run=name,
+        raise RunsError.of_run(
+            name, f"power and position were not logged at the same time ({spans[:300]}): have they one clock?"
         )
     return t
 

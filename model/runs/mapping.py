@@ -118,10 +118,9 @@ def source_of(target: str, text: str, columns: Collection[str], name: str) -> So
         known = ", ".join(UNITS.get(quantity_of(target) or "", {})) or "none"
         if target in COUNTED:
             known += f", each with {PER_ROW} where a row says what came since the row before"
-        raise RunsError(
-            f"run {name}: `{target}` cannot be in {word.strip()[:40]!r}: its units are {known}, or a factor such as "
-            "0.01",
-            run=name,
+        raise RunsError.of_run(
+            name,
+            f"`{target}` cannot be in {word.strip()[:40]!r}: its units are {known}, or a factor such as 0.01",
             column=target,
         )
     conversion(target, unit)
@@ -184,9 +183,9 @@ def _ends(rest: str) -> bool:
 def _no_column(target: str, wanted: str, columns: Collection[str], name: str) -> RunsError:
     close = get_close_matches(wanted, list(columns), 3, 0.5)
     listed = ", ".join(close or sorted(columns)[:20]) or "none"
-    return RunsError(
-        f"run {name}: `{target}` is to be taken from {wanted[:80]!r}, which is no column of it; "
+    return RunsError.of_run(
+        name,
+        f"`{target}` is to be taken from {wanted[:80]!r}, which is no column of it; "
         f"{'near it are' if close else 'it has'} {listed[:400]}",
-        run=name,
         column=wanted[:80],
     )

@@ -42,10 +42,10 @@ def without_marks(values: FloatArray, target: str, column: str, name: str, repai
         size = np.abs(known)
     if unknown.any() and not np.isfinite(values[~unknown]).any():
         mark = float(values[unknown][0])
-        raise RunsError(
-            f"run {name}, column {column[:80]!r}: {target} is {mark:g} in every row, the mark of an unknown value: it "
+        raise RunsError.of_run(
+            name,
+            f", column {column[:80]!r}: {target} is {mark:g} in every row, the mark of an unknown value: it "
             "was not recorded",
-            run=name,
             column=column[:80],
             value=mark,
         )

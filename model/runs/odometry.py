@@ -61,8 +61,8 @@ def with_track(
     """
     for column in ("t", *SIDES):
         if column not in numbers:
-            raise RunsError(
-                f"run {name}: there is no column {column!r} of numbers{columns_there(numbers)}", run=name, column=column
+            raise RunsError.of_run(
+                name, f"there is no column {column!r} of numbers{columns_there(numbers)}", column=column
             )
     left, right = (without_blanks(numbers[side]) for side in SIDES)
     x, y, heading = integrate(numbers["t"], left, right, track_m=odometry.track_m)

@@ -164,18 +164,18 @@ def run_of(
     repairs, notes = {} if repairs is None else repairs, list[str]()
     if "t" in texts:
         row = next((k for k, cell in enumerate(texts["t"].tolist()) if cell.strip()), 0)
-        raise RunsError(
-            f"run {name}, column 't', row {row + 2}: {str(texts['t'][row])[:80]!r} is not a number, and no time such "
+        raise RunsError.of_run(
+            name,
+            f", column 't', row {row + 2}: {str(texts['t'][row])[:80]!r} is not a number, and no time such "
             "as 2024-05-01T12:00:00.25",
-            run=name,
             column="t",
             row=row + 2,
         )
     if "t" not in numbers:
-        raise RunsError(
-            f"run {name}: there is no column 't' (seconds){columns_there(numbers)}; a mapping says which it is, like "
+        raise RunsError.of_run(
+            name,
+            f"there is no column 't' (seconds){columns_there(numbers)}; a mapping says which it is, like "
             "t=timestamp_ms:ms",
-            run=name,
             column="t",
         )
     rows = _ordered_rows(numbers["t"], name, repairs)
@@ -199,9 +199,7 @@ def run_of(
         x, breaks = np.where(np.isfinite(y), 0.0, np.nan), np.zeros(t.size, dtype=bool)
     x, y = fill_by_wheels(t, x, y, breaks, numbers, repairs)
     if np.isfinite(x).sum() < 2:
-        raise RunsError(
-            f"run {name}: no usable position is left after the rules for bad fixes", run=name, repairs=repairs
-        )
+        raise RunsError.of_run(name, "no usable position is left after the rules for bad fixes", repairs=repairs)
     return Run(
         name,
         t,
@@ -231,15 +229,15 @@ def _of_charge(numbers: dict[str, FloatArray], name: str) -> tuple[float, float]
         return None
     known = soc[np.isfinite(soc)]
     if capacity is None:
-        raise RunsError(
-            f"run {name}: it has a state of charge, and no current, power or counter of energy: say what the battery "
+        raise RunsError.of_run(
+            name,
+            f"it has a state of charge, and no current, power or counter of energy: say what the battery "
             f"holds with a mapping, such as {CAPACITY}=500 for 500 Wh",
-            run=name,
             column="current",
         )
     steps = np.abs(np.diff(np.unique(known)))
     if not steps.size:
-        raise RunsError(f"run {name}: its state of charge is the same in every row", run=name, column="soc")
+        raise RunsError.of_run(name, "its state of charge is the same in every row", column="soc")
     joules = 36.0 * float(capacity[0])  # of one per cent
     rounding = float(steps.min()) / math.sqrt(12.0) * math.sqrt(2.0)  # evenly distributed, at both ends
     return joules * float(known[0] - known[-1]), joules * rounding
@@ -259,7 +257,7 @@ def _ordered_rows(t: FloatArray, name: str, repairs: dict[str, int]) -> NDArray[
     known = np.flatnonzero(np.isfinite(t))
     add_count(repairs, "rows_without_time", t.size - known.size)
     if known.size < LEAST_ROWS:
-        raise RunsError(f"run {name}, column 't': only {known.size} rows have a time", run=name, column="t")
+        raise RunsError.of_run(name, f", column 't': only {known.size} rows have a time", column="t")
     kept = known[_longest_increasing(t[known])]
     again = int(np.isin(t[np.setdiff1d(known, kept)], t[kept]).sum())
     backward = known.size - kept.size - again
@@ -267,10 +265,10 @@ def _ordered_rows(t: FloatArray, name: str, repairs: dict[str, int]) -> NDArray[
     add_count(repairs, "backward_stamps", backward)
     if backward > 0.2 * known.size:
         row = int(known[np.flatnonzero(np.diff(t[known]) < 0)[0] + 1]) + 2
-        raise RunsError(
-            f"run {name}, column 't', row {row}: the clock was set back; {backward} of {known.size} rows are out "
+        raise RunsError.of_run(
+            name,
+            f", column 't', row {row}: the clock was set back; {backward} of {known.size} rows are out "
             "of order. Split the file there",
-            run=name,
             column="t",
             row=row,
         )

@@ -127,9 +127,8 @@ class Run:
             If that is not known.
         """
         if self.whole_j is not None:
-            raise RunsError(
-                f"run {self.name}: a state of charge says the energy of the whole drive, and not that of a metre",
-                run=self.name,
+            raise RunsError.of_run(
+                self.name, "a state of charge says the energy of the whole drive, and not that of a metre"
             )
         if charge:
             if np.isnan(self.current_a).all():
@@ -138,5 +137,5 @@ class Run:
         if self.power_w is not None:
             return self.power_w
         if self.voltage_v is None:
-            raise RunsError(f"run {self.name}: no voltage was recorded; ask for charge [A s] instead", run=self.name)
+            raise RunsError.of_run(self.name, "no voltage was recorded; ask for charge [A s] instead")
         return self.current_a * self.voltage_v

@@ -44,23 +44,20 @@ class TableLimits:
     def check(self, rows: int, columns: int, name: str) -> None:
         """Refuse a declared size before memory is allocated for it."""
         if columns > self.columns:
-            raise TooLargeError(
-                f"run {name} has {columns:,} columns, the limit is {self.columns:,}: leave columns out",
-                run=name,
+            raise TooLargeError.of_run(
+                name,
+                f" has {columns:,} columns, the limit is {self.columns:,}: leave columns out",
                 columns=columns,
                 limit=self.columns,
             )
         if rows > self.rows:
-            raise TooLargeError(
-                f"run {name} has {rows:,} rows, the limit is {self.rows:,}: split it",
-                run=name,
-                rows=rows,
-                limit=self.rows,
+            raise TooLargeError.of_run(
+                name, f" has {rows:,} rows, the limit is {self.rows:,}: split it", rows=rows, limit=self.rows
             )
         if rows * columns > self.cells:
-            raise TooLargeError(
-                f"run {name} has {rows * columns:,} cells, the limit is {self.cells:,}: split it, or leave columns out",
-                run=name,
+            raise TooLargeError.of_run(
+                name,
+                f" has {rows * columns:,} cells, the limit is {self.cells:,}: split it, or leave columns out",
                 cells=rows * columns,
                 limit=self.cells,
             )
@@ -69,10 +66,10 @@ class TableLimits:
         """Refuse a column of text before memory is allocated for it."""
         size_mb = rows * letters * 4 / 1e6  # NumPy keeps every cell as long as the longest, 4 bytes for a letter
         if size_mb > self.text_mb:
-            raise TooLargeError(
-                f"run {name}, column {column[:80]!r}: {rows:,} texts of up to {letters:,} letters take {size_mb:,.0f} "
+            raise TooLargeError.of_run(
+                name,
+                f", column {column[:80]!r}: {rows:,} texts of up to {letters:,} letters take {size_mb:,.0f} "
                 f"MB, the limit is {self.text_mb:,.0f} MB: shorten them, or leave the column out",
-                run=name,
                 column=column[:80],
                 text_mb=size_mb,
                 limit=self.text_mb,

@@ -75,7 +75,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
         stream = _in_order(stream, chosen["t"], name, repairs)
     for target, question in found.questions.items():
         if target in stream.numbers and target in ("t", "x", "y", "lat", "lon"):  # it is there twice
-            raise RunsError(f"run {name}: {question}", run=name, column=target)
+            raise RunsError.of_run(name, question, column=target)
     used = {column for source in chosen.values() for column in source.columns}
     used |= {column for pack in found.packs for source in pack for column in source.columns}
     numbers: dict[str, FloatArray] = {}

@@ -37,19 +37,18 @@ def unpacked(source: SourceFile) -> SourceFile:
                 if any(name.lower().endswith(_ARRAYS_OR_BAG) for name in names):
                     return source
                 if "[Content_Types].xml" in names:
-                    raise RunsError(f"run {source.name} is a spreadsheet: save the sheet as CSV", run=source.name)
+                    raise RunsError.of_run(source.name, " is a spreadsheet: save the sheet as CSV")
                 if not 0 < len(files) <= MOST_TABLES:
                     listed = ", ".join(names[:5])[:200] or "nothing"
-                    raise RunsError(f"run {source.name} holds {listed}: unpack it, and give one log", run=source.name)
+                    raise RunsError.of_run(source.name, f" holds {listed}: unpack it, and give one log")
                 if len(set(names)) < len(names):
-                    raise RunsError(
-                        f"run {source.name} holds several files of the same name: unpack it, and give each log alone",
-                        run=source.name,
+                    raise RunsError.of_run(
+                        source.name, " holds several files of the same name: unpack it, and give each log alone"
                     )
                 first, *rest = _all(source, archive, files)
                 return replace(first, beside=tuple((each.name, bytes(each.place)) for each in rest))
     except (OSError, EOFError, zlib.error, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
-        raise RunsError(f"run {source.name}: not a readable archive: {str(error)[:200]}", run=source.name) from error
+        raise RunsError.of_run(source.name, f"not a readable archive: {str(error)[:200]}") from error
 
 
 def _all(source: SourceFile, archive: zipfile.ZipFile, files: Sequence[zipfile.ZipInfo]) -> list[SourceFile]:
@@ -64,7 +63,5 @@ def _read(source: SourceFile, stream: IO[bytes] | gzip.GzipFile, name: str, befo
     most = min(_LARGEST_RATIO * source.size_bytes + _ALWAYS_BYTES, _LARGEST_BYTES)
     content = stream.read(most - before + 1)
     if len(content) + before > most:
-        raise TooLargeError(
-            f"run {source.name} unpacks to more than {most:,} bytes", run=source.name, bytes=len(content), limit=most
-        )
+        raise TooLargeError.of_run(source.name, f" unpacks to more than {most:,} bytes", bytes=len(content), limit=most)
     return SourceFile(content, name, content[:_HEAD_BYTES])

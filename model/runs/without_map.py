@@ -76,7 +76,7 @@ def ground_of_profile(run: Run, *, length_m: float = 1.0) -> Heightmap:
     step of the ground; and over the length of a segment, whose slope is that in its middle.
     """
     if run.placed:
-        raise RunsError(f"run {run.name} has positions: give the heightmap on which it was driven", run=run.name)
+        raise RunsError.of_run(run.name, " has positions: give the heightmap on which it was driven")
     known = np.flatnonzero(np.isfinite(run.y))
     at = run.y[known]
     if np.ptp(at) > _LONGEST_M:

@@ -75,10 +75,9 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             known = set(log.name_to_id)
             wanted = [kind for kind in known if kind in _FIELDS or any(_names(mapping, kind))]
             if not wanted:
-                raise RunsError(
-                    f"run {source.name}: the log has no messages BAT, GPS or POS; its kinds are "
-                    f"{', '.join(sorted(known))[:300]}",
-                    run=source.name,
+                raise RunsError.of_run(
+                    source.name,
+                    f"the log has no messages BAT, GPS or POS; its kinds are {', '.join(sorted(known))[:300]}",
                 )
             while (message := log.recv_match(type=wanted)) is not None:
                 kind = message.get_type()

@@ -58,10 +58,10 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             "read: save numbers, array.astype(float)"
         )
         if any(candidate(key, each.removesuffix(".npy")) for key in NEEDED for each in objects):
-            raise RunsError(f"run {name}: {notes[0]}", run=name)
+            raise RunsError.of_run(name, f"{notes[0]}")
     columns = [(path, values) for path, values in _columns(found, "", 0) if len(values) >= LEAST_ROWS]
     if not columns:
-        raise RunsError(f"run {name} holds no array of {LEAST_ROWS} numbers or more", run=name)
+        raise RunsError.of_run(name, f" holds no array of {LEAST_ROWS} numbers or more")
     (rows, _), *_ = Counter(len(values) for _, values in columns).most_common(1)
     same = [(path, values) for path, values in columns if len(values) == rows]
     limits.check(rows, len(same), name)

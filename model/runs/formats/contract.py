@@ -126,10 +126,10 @@ class LogFormat:
 
     def missing(self, name: str, error: ImportError) -> RunsError:
         """Return the error for a file of this format where a library is not installed."""
-        return RunsError(
-            f"run {name} is a {self.name}; the library {error.name} that reads it is not installed: "
+        return RunsError.of_run(
+            name,
+            f" is a {self.name}; the library {error.name} that reads it is not installed: "
             f"pip install 'joulemap[{self.extra}]'",
-            run=name,
             library=error.name,
         )
 
@@ -149,4 +149,4 @@ def content_of(source: SourceFile) -> bytes:
     try:
         return source.place.read_bytes()
     except OSError as error:
-        raise RunsError(f"run {source.name}: {error}", run=source.name) from error
+        raise RunsError.of_run(source.name, str(error)) from error

@@ -59,7 +59,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
                 raise
             notes = [cut_off("FIT file", error.offset, source.size_bytes)]
     if not collector.messages:
-        raise RunsError(f"run {source.name}: the FIT file has no records", run=source.name)
+        raise RunsError.of_run(source.name, "the FIT file has no records")
     return log_of(collector.streams(), _WANTED, notes=notes)
 
 

@@ -35,7 +35,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         found = _records(content, name, repairs)
         return Log((stream_of(columns_of(found, name, limits), name, limits),))
     except (ValueError, RecursionError) as error:
-        raise RunsError(f"run {name}: not a readable JSON text: {str(error)[:200]}", run=name) from error
+        raise RunsError.of_run(name, f"not a readable JSON text: {str(error)[:200]}") from error
 
 
 def columns_of(records: Iterable[Mapping[str, Any]], name: str, limits: TableLimits) -> Any:
@@ -85,7 +85,7 @@ def _records(content: bytes, name: str, repairs: dict[str, int]) -> Iterable[Map
     document = json.loads(content)
     best = max(_tables(document, 0), key=len, default=[])
     if len(best) < LEAST_ROWS:
-        raise RunsError(f"run {name}: the JSON text holds no list of {LEAST_ROWS} records or more", run=name)
+        raise RunsError.of_run(name, f"the JSON text holds no list of {LEAST_ROWS} records or more")
     return (_flat(record) for record in best)
 
 

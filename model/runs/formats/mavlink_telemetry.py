@@ -88,10 +88,10 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
                 log.close()
         broken, notes = _about_end(path, begins)
     if unreadable > whole_messages:
-        raise RunsError(
-            f"run {source.name}: the MAVLink telemetry log is corrupt from byte {broken:,} on: {unreadable:,} pieces "
+        raise RunsError.of_run(
+            source.name,
+            f"the MAVLink telemetry log is corrupt from byte {broken:,} on: {unreadable:,} pieces "
             f"of it are no messages, and {whole_messages:,} are",
-            run=source.name,
             byte=broken,
         )
     return log_of(collector.streams(), _WANTED, notes=notes)

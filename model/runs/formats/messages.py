@@ -58,10 +58,10 @@ class Collector:
         self.messages += 1
         self._cells += 2 + len(found.values)
         if before + 1 > self._limits.rows or self._cells > self._limits.cells:
-            raise TooLargeError(
-                f"run {self._name} has more than {before:,} messages of {topic} and {self._cells:,} values in all, the "
+            raise TooLargeError.of_run(
+                self._name,
+                f" has more than {before:,} messages of {topic} and {self._cells:,} values in all, the "
                 f"limits are {self._limits.rows:,} and {self._limits.cells:,}: split it",
-                run=self._name,
                 rows=before + 1,
                 limit=self._limits.rows,
             )
@@ -149,10 +149,10 @@ def reading(kind: str, name: str, place: Callable[[], str], *, repair: str = "")
     except (JoulemapError, ImportError):
         raise
     except MemoryError as error:
-        raise TooLargeError(
-            f"run {name}: the {kind} asks for more memory than there is, {place()}: it is corrupt, or much larger "
+        raise TooLargeError.of_run(
+            name,
+            f"the {kind} asks for more memory than there is, {place()}: it is corrupt, or much larger "
             "inside than outside",
-            run=name,
         ) from error
     except OSError as error:
         # a place that no file has is a fault of the content

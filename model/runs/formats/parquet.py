@@ -34,7 +34,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     try:
         return Log((stream_of(_read(content_of(source), name, limits), name, limits),))
     except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
-        raise RunsError(f"run {name}: not a readable Parquet file: {str(error)[:300]}", run=name) from error
+        raise RunsError.of_run(name, f"not a readable Parquet file: {str(error)[:300]}") from error
 
 
 def _read(content: bytes, name: str, limits: TableLimits) -> Any:
@@ -96,10 +96,9 @@ def _check_size(about: Any, name: str, limits: TableLimits) -> None:
     size = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
     most = 16 * limits.cells + int(limits.text_mb * 1e6)
     if size > most:
-        raise TooLargeError(
-            f"run {name} unpacks to {size / 1e6:,.0f} MB, the limit is {most / 1e6:,.0f} MB: split it, or leave "
-            "columns out",
-            run=name,
+        raise TooLargeError.of_run(
+            name,
+            f" unpacks to {size / 1e6:,.0f} MB, the limit is {most / 1e6:,.0f} MB: split it, or leave columns out",
             bytes=size,
             limit=most,
         )

@@ -70,7 +70,7 @@ def _read_parts(
             for topic, last, message in recording.messages(_wanted):
                 collect(collector, topic, last, message, whole=mentioned(mapping, topic.name))
     if not collector.messages and not topics and notes:
-        raise RunsError(f"run {name}: {notes[0]}, and that is nothing", run=name)
+        raise RunsError.of_run(name, f"{notes[0]}, and that is nothing")
     if not collector.messages:
         raise _nothing(name, topics, _wanted)
     return ros_log(collector.streams(), {topic.name: topic.kind for topic in topics.values()}, notes=notes)
@@ -88,16 +88,16 @@ def _nothing(name: str, topics: Mapping[str, Topic], wanted: Callable[[Topic], b
     there = topics_in_words(dict(topics))
     unreadable = sorted({topic.encoding for topic in topics.values() if wanted(topic) and not topic.readable})
     if unreadable:
-        return RunsError(
-            f"run {name}: its messages are in {', '.join(unreadable)}, which is not read: record them in CDR, ROS 1, "
+        return RunsError.of_run(
+            name,
+            f"its messages are in {', '.join(unreadable)}, which is not read: record them in CDR, ROS 1, "
             f"JSON or Protobuf. Its topics are {there}",
-            run=name,
             encodings=unreadable,
         )
     if any(wanted(topic) for topic in topics.values()):
-        return RunsError(f"run {name}: the topics that a run needs hold no message. Its topics are {there}", run=name)
-    return RunsError(
-        f"run {name}: no topic is a BatteryState, NavSatFix, Odometry or pose. Its topics are {there}; say "
+        return RunsError.of_run(name, f"the topics that a run needs hold no message. Its topics are {there}")
+    return RunsError.of_run(
+        name,
+        f"no topic is a BatteryState, NavSatFix, Odometry or pose. Its topics are {there}; say "
         "which with a mapping, such as current=/topic.field:A",
-        run=name,
     )

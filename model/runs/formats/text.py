@@ -77,14 +77,14 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         table = _read(body, options) if len(body) and not bytes(body[:100]).isspace() else None
     except pa.ArrowInvalid as error:
         if "olumns, got" not in str(error):
-            raise RunsError(f"run {name}: not a readable CSV file: {str(error)[:200]}", run=name) from error
+            raise RunsError.of_run(name, f"not a readable CSV file: {str(error)[:200]}") from error
         body = _even(bytes(body), separator, len(columns), quoted, name, repairs)
         try:
             table = _read(body, options)
         except pa.ArrowInvalid as again_error:
-            raise RunsError(f"run {name}: not a readable CSV file: {str(again_error)[:200]}", run=name) from again_error
+            raise RunsError.of_run(name, f"not a readable CSV file: {str(again_error)[:200]}") from again_error
     if table is None:
-        raise RunsError(f"run {name}: 0 rows are too few, at least 5 are needed", run=name)
+        raise RunsError.of_run(name, "0 rows are too few, at least 5 are needed")
     return Log((stream_of(table, name, limits, dict(zip(columns, units, strict=False))),))
 
 
@@ -133,9 +133,8 @@ def _decoded(content: bytes) -> str:
 def _no_text(name: str, error: Exception) -> RunsError:
     from joulemap.model.runs.formats import formats_in_words
 
-    return RunsError(
-        f"run {name} is neither a text in CSV (UTF-8) nor another log that is read ({formats_in_words()}): {error}",
-        run=name,
+    return RunsError.of_run(
+        name, f" is neither a text in CSV (UTF-8) nor another log that is read ({formats_in_words()}): {error}"
     )
 
 
@@ -145,19 +144,18 @@ def _header(content: bytes, name: str, limits: TableLimits) -> tuple[str, list[s
     line = content[start : _line_end(content, start)]
     limits.check(0, max(line.count(mark.encode()) for mark in _SEPARATORS) + 1, name)
     if len(line) > _LONGEST_HEADER:
-        raise TooLargeError(
-            f"run {name}: its first line has {len(line):,} bytes, the limit is {_LONGEST_HEADER:,}",
-            run=name,
+        raise TooLargeError.of_run(
+            name,
+            f"its first line has {len(line):,} bytes, the limit is {_LONGEST_HEADER:,}",
             found=len(line),
             limit=_LONGEST_HEADER,
         )
     if start >= len(content):
-        raise RunsError(f"run {name}: the file is empty", run=name)
+        raise RunsError.of_run(name, "the file is empty")
     lines = _sample(content, start)
     if "\0" in lines[0].text:
-        raise RunsError(
-            f"run {name}: its first line has NUL characters, so it is no text in UTF-8: save it in that encoding",
-            run=name,
+        raise RunsError.of_run(
+            name, "its first line has NUL characters, so it is no text in UTF-8: save it in that encoding"
         )
     separator = max((*_SEPARATORS, " "), key=lambda mark: _fit([line.text for line in lines], mark))
     rows = [_cells(line.text, separator) for line in lines]
@@ -169,10 +167,9 @@ def _header(content: bytes, name: str, limits: TableLimits) -> tuple[str, list[s
         if [_is_value(cell) for cell in rows[0]] == [True, False, True]:  # without a header
             return separator, ["time", "name", "value"], [], b"", start
         if first == 0 and len(rows[0]) > 2 and all(map(_NUMBER.match, filter(None, rows[0]))):
-            raise RunsError(
-                f"run {name}: its first line is {', '.join(rows[0])[:80]!r}: write a line with the names of the "
-                "columns above it",
-                run=name,
+            raise RunsError.of_run(
+                name,
+                f"its first line is {', '.join(rows[0])[:80]!r}: write a line with the names of the columns above it",
             )
         first = next((k for k, row in enumerate(rows) if any(row)), 0) + 1
         block = [first - 1]
@@ -283,10 +280,10 @@ def _closed(body: bytes, name: str, repairs: dict[str, int]) -> bytes:
     lines = body.rstrip(b"\n").split(b"\n")
     row = max(k for k, line in enumerate(lines) if line.count(b'"') % 2)
     if row < len(lines) - 1:
-        raise RunsError(
-            f"run {name}, row {row + 2}: a quote is opened there and never closed: the {len(lines) - 1 - row:,} lines "
+        raise RunsError.of_run(
+            name,
+            f", row {row + 2}: a quote is opened there and never closed: the {len(lines) - 1 - row:,} lines "
             "after it cannot be read",
-            run=name,
             row=row + 2,
         )
     add_count(repairs, "truncated_rows", 1)
@@ -300,7 +297,7 @@ def _even(body: bytes, separator: str, width: int, quoted: bool, name: str, repa
         try:
             rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=separator) if row]
         except csv.Error as error:
-            raise RunsError(f"run {name}: a row cannot be divided into cells: {error}", run=name) from error
+            raise RunsError.of_run(name, f"a row cannot be divided into cells: {error}") from error
     else:
         rows = [line.split(separator) for line in text.split("\n") if line]
     if rows and len(rows[-1]) < width:
@@ -308,10 +305,10 @@ def _even(body: bytes, separator: str, width: int, quoted: bool, name: str, repa
         add_count(repairs, "truncated_rows", 1)
     longer = sum(len(row) > width and any(row[width:]) for row in rows)
     if 2 * longer > len(rows):
-        raise RunsError(
-            f"run {name}, row 2: {len(rows[0])} cells where the header has {width} columns, as in most rows: if its "
+        raise RunsError.of_run(
+            name,
+            f", row 2: {len(rows[0])} cells where the header has {width} columns, as in most rows: if its "
             "commas are decimal marks, save it with semicolons between the cells",
-            run=name,
             row=2,
         )
     add_count(repairs, "ragged_rows", sum(len(row) != width for row in rows))

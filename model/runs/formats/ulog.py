@@ -57,10 +57,8 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     from pyulog import ULog
 
     if source.size_bytes / 8 > limits.cells:
-        raise TooLargeError(
-            f"run {source.name} has {source.size_bytes / 1e6:,.0f} MB, the limit is {8e-6 * limits.cells:,.0f} MB: "
-            "split it",
-            run=source.name,
+        raise TooLargeError.of_run(
+            source.name, f" has {source.size_bytes / 1e6:,.0f} MB, the limit is {8e-6 * limits.cells:,.0f} MB: split it"
         )
     named = {text.split(".")[0].lstrip("+-").split("[")[0] for text in mapping.values()}
     broken, notes, formats = _skimmed(source)
@@ -69,10 +67,10 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         limited = FiniteStream(stream, end=broken, most_steps=_MOST_STEPS)
         log = ULog(limited, [*_FIELDS, *sorted(named - _FIELDS.keys())])
         if log.file_corruption or (broken < source.size_bytes and not notes):
-            raise RunsError(
-                f"run {source.name}: the ULog is corrupt at byte {broken:,} of {source.size_bytes:,} or before: it was "
+            raise RunsError.of_run(
+                source.name,
+                f"the ULog is corrupt at byte {broken:,} of {source.size_bytes:,} or before: it was "
                 f"read up to {max(log.last_timestamp, 0) * 1e-6:.3f} s, where something is no message",
-                run=source.name,
                 byte=broken,
             )
         streams = []
@@ -88,10 +86,10 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             }
             streams.append(Stream(topic, numbers, {}, stamps))
     if not streams:
-        raise RunsError(
-            f"run {source.name}: the ULog has no battery_status and no position; its messages are "
+        raise RunsError.of_run(
+            source.name,
+            f"the ULog has no battery_status and no position; its messages are "
             f"{', '.join(sorted(log.message_formats))[:300]}",
-            run=source.name,
         )
     return log_of(streams, _WANTED, notes=notes)
 
@@ -116,10 +114,10 @@ def _skimmed(source: SourceFile) -> tuple[int, list[str], list[str]]:
             at += _MESSAGE_HEAD.size + length
             count += 1
             if count == _MANY and at < _LEAST_MEAN * count:
-                raise RunsError(
-                    f"run {source.name}: the first {count:,} messages of the ULog have {at / count:.1f} bytes in the "
+                raise RunsError.of_run(
+                    source.name,
+                    f"the first {count:,} messages of the ULog have {at / count:.1f} bytes in the "
                     f"mean, and those of a log at least {_LEAST_MEAN}",
-                    run=source.name,
                 )
     return at, [], formats
 
@@ -138,4 +136,4 @@ def _check_formats(formats: list[str], limits: TableLimits, name: str) -> None:
             columns[kind] = min(held, 10**12)  # the message writes it out
             limits.check(0, columns[kind], f"{name}, ULog message {kind[:80]!r},")
     except CycleError as error:
-        raise RunsError(f"run {name}: the ULog's message {error.args[1][0][:80]!r} holds itself", run=name) from error
+        raise RunsError.of_run(name, f"the ULog's message {error.args[1][0][:80]!r} holds itself") from error

@@ -29,7 +29,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     notes: list[str] = []
     table = columns_of(_points(source, notes), name, limits)
     if not table.num_rows:
-        raise RunsError(f"run {name}: the track in XML has no points{'; ' + notes[0] if notes else ''}", run=name)
+        raise RunsError.of_run(name, f"the track in XML has no points{'; ' + notes[0] if notes else ''}")
     return Log((stream_of(table, name, limits),), notes=tuple(notes))
 
 
