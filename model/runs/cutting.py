@@ -22,14 +22,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import heading_of, wrap_angle
-from joulemap.model.runs.arcs import (
-    arc_track,
-    equal_parts,
-    on_rows,
-    segment_length,
-    station_at,
-    stops_of,
-)
+from joulemap.model.runs.arcs import arc_track, equal_parts, on_rows, segment_length, station_at, stops_of
 from joulemap.model.runs.headings import headings
 from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments
@@ -48,11 +41,7 @@ ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})
 
 
 def cut_segments(
-    run: Run,
-    *,
-    length_m: float | None = None,
-    charge: bool = False,
-    max_speed_mps: float = math.inf,
+    run: Run, *, length_m: float | None = None, charge: bool = False, max_speed_mps: float = math.inf
 ) -> Segments:
     """Cut a run into segments. `charge`: integrate the current alone [A s], for logs without a voltage."""
     if length_m is not None and not (math.isfinite(length_m) and length_m > 0):
@@ -199,11 +188,7 @@ def _ripple(square: FloatArray, mean: FloatArray) -> FloatArray:
 
 
 def _mean(
-    values: FloatArray,
-    first: NDArray[np.int64],
-    last: NDArray[np.int64],
-    angle: bool,
-    rows: NDArray[np.bool_],
+    values: FloatArray, first: NDArray[np.int64], last: NDArray[np.int64], angle: bool, rows: NDArray[np.bool_]
 ) -> FloatArray:
     """Mean of the known samples in rows [first, last); NaN where there is none. Angles [deg] as directions, 0..360."""
     if angle:

@@ -78,13 +78,7 @@ def driven_surface(
         from joulemap.model.terrain.surface_fit import fit_surface  # loads SciPy, and few commands need it
 
         heightmap = fit_surface(
-            x,
-            y,
-            z - antenna_height_m,
-            resolution_m=resolution_m,
-            smoothing_m=smoothing_m,
-            max_gap_m=max_gap_m,
-            crs=crs,
+            x, y, z - antenna_height_m, resolution_m=resolution_m, smoothing_m=smoothing_m, max_gap_m=max_gap_m, crs=crs
         )
     except HeightmapError as error:
         raise HeightmapError(f"no surface through {_listed(runs)}: {error.message}", **error.context) from error

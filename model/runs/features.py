@@ -435,11 +435,7 @@ def row_arrays() -> list[str]:
 
 
 _NO_ARRAYS = {"robot", "columns", "words", "unit_j", "runs", "speeds_mps", "drives", "corrected", "added_resistance"}
-_RANGED = {
-    "cross_slope": "cross_abs",
-    "roughness": "roughness_m",
-    "position_index": "position_index_m",
-}
+_RANGED = {"cross_slope": "cross_abs", "roughness": "roughness_m", "position_index": "position_index_m"}
 _QUANTITIES: dict[str, Callable[[Features], FloatArray]] = {
     "grade": lambda rows: rows.grade,
     "cross_slope": lambda rows: rows.cross_abs,

@@ -156,11 +156,7 @@ def read_sites(sites: Sequence[Site], *, charge: bool = False) -> SiteRuns:
         mine = [next(names) for _ in site.files]
         try:
             found, segments = read_segments(
-                site.files,
-                site.robot,
-                crs=site.heightmap.frame.crs,
-                charge=charge,
-                length_m=site.length_m,
+                site.files, site.robot, crs=site.heightmap.frame.crs, charge=charge, length_m=site.length_m
             )
             segments = replace(segments, runs=tuple(mine))
             check_place(segments, site.heightmap)

@@ -45,9 +45,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         reading("FIT file", source.name, _place),
         source.open() as stream,
         fitdecode.FitReader(
-            stream,
-            check_crc=fitdecode.CrcCheck.RAISE,
-            error_handling=fitdecode.ErrorHandling.RAISE,
+            stream, check_crc=fitdecode.CrcCheck.RAISE, error_handling=fitdecode.ErrorHandling.RAISE
         ) as frames,
     ):
         try:

@@ -121,11 +121,7 @@ def _angles(x: float, y: float, z: float, w: float) -> dict[str, float]:
     yaw = math.atan2(2 * (w * z + x * y), norm - 2 * (y * y + z * z))
     roll = math.atan2(2 * (w * x + y * z), norm - 2 * (x * x + y * y))
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x) / norm)))
-    return {
-        "heading": (90.0 - math.degrees(yaw)) % 360.0,
-        "roll": math.degrees(roll),
-        "pitch": -math.degrees(pitch),
-    }
+    return {"heading": (90.0 - math.degrees(yaw)) % 360.0, "roll": math.degrees(roll), "pitch": -math.degrees(pitch)}
 
 
 def _inside(message: Any, path: str) -> Any:

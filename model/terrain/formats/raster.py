@@ -18,13 +18,7 @@ from joulemap.model.terrain.formats.ascii_text import HEADER_WORDS, check_ascii_
 from joulemap.model.terrain.formats.colours import GREY, colours_of
 from joulemap.model.terrain.formats.gdal import ALONE, BESIDE, opened
 from joulemap.model.terrain.formats.raster_band import Raster
-from joulemap.model.terrain.formats.raster_checks import (
-    HEIGHTS,
-    check_blocks,
-    check_grid,
-    checked_band,
-    transform_of,
-)
+from joulemap.model.terrain.formats.raster_checks import HEIGHTS, check_blocks, check_grid, checked_band, transform_of
 from joulemap.model.terrain.formats.vrt import check_names, is_vrt
 from joulemap.model.terrain.units import height_unit
 
