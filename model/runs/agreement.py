@@ -296,3 +296,14 @@ def compass(t: FloatArray, angle: FloatArray, numbers: Mapping[str, FloatArray])
             if best is None or size < best[0]:
                 best = (size, np.degrees(zero + turn * factor * angle) % 360.0, f"{unit}, {words}")
     return (best[1], best[2]) if best is not None and best[0] < 0.25 else None
+
+
+def disagreement(a: FloatArray, b: FloatArray) -> float:
+    """Return by which share two quantities differ in the median, whatever their signs; infinite where neither flows.
+
+    `a`, `b` (n,): NaN where unknown.
+    """
+    a, b = np.abs(a), np.abs(b)
+    both = np.isfinite(a) & np.isfinite(b)
+    both &= np.maximum(a, b) > 0.1 * max(float(np.quantile(b[both], 0.9)), 1e-12) if both.any() else both
+    return float(np.median(np.abs(a[both] - b[both]) / np.maximum(a[both], b[both]))) if both.any() else np.inf

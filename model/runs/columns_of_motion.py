@@ -8,14 +8,14 @@ import numpy as np
 
 from joulemap.model.errors import RunsError
 from joulemap.model.runs import agreement
+from joulemap.model.runs.candidates import Recognised
 from joulemap.model.runs.column_values import numbers_of, read_column
 from joulemap.model.runs.columns_of_power import flows
-from joulemap.model.runs.counters import LONGEST_STEP, pauses, summed, total_of, unknown_s
+from joulemap.model.runs.counters import LONGEST_STEP, no_counter, pauses, summed, total_of, unknown_s
 from joulemap.model.runs.formats.columns import CLOCK, DATE
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.instants import across_midnight
 from joulemap.model.runs.mapping import Source
-from joulemap.model.runs.recognition import Recognised
 from joulemap.model.runs.table import LEAST_ROWS, FloatArray, spread
 from joulemap.model.runs.units import UNITS, conversion
 
@@ -179,12 +179,7 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
         if made is None:
             _ask_for_unit(numbers["t"], counted, found.chosen["distance"], name)
         if made is None and not counts:
-            raise RunsError.of_run(
-                name,
-                "its distance rises and falls again and again, so it does not count from the begin: give a speed; or "
-                f"say that it is since the row before, distance={found.chosen['distance'].columns[0][:60]}:m/row",
-                column="distance",
-            )
+            raise no_counter(name, "distance", found.chosen["distance"].columns[0], "m")
         unit = "" if made is None else agreement.contradiction(counted, made)
         if unit and found.chosen["distance"].unit and found.chosen["speed"].unit:
             raise RunsError.of_run(
@@ -207,9 +202,7 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
             found.notes.append(f"its speed is not known for {lost:,.0f} s in all: what was driven then is not counted")
         reading["distance"] = f"the sum of {reading.get('speed', 'speed [m/s]')}"
     elif "distance" not in numbers and (flows(numbers) or "soc" in numbers):  # else that is what is missing
-        for key in ("lat", "lon", "x", "y", "distance", "speed"):
-            if key in found.questions:
-                raise RunsError.of_run(name, found.questions[key], column=key)
+        found.refuse(name, ("lat", "lon", "x", "y", "distance", "speed"))
 
 
 def _ask_for_unit(t: FloatArray, counted: FloatArray, source: Source, name: str) -> None:

@@ -8,11 +8,12 @@ import numpy as np
 
 from joulemap.model.errors import RunsError
 from joulemap.model.runs import agreement
+from joulemap.model.runs.agreement import disagreement
+from joulemap.model.runs.candidates import CONFIDENCE, Recognised
 from joulemap.model.runs.column_values import words_of
-from joulemap.model.runs.counters import is_per_row, rate_of, total_of
+from joulemap.model.runs.counters import is_per_row, no_counter, rate_of, total_of
 from joulemap.model.runs.mapping import Source
 from joulemap.model.runs.names import POSSIBLE
-from joulemap.model.runs.recognition import CONFIDENCE, Recognised, disagreement
 from joulemap.model.runs.table import FloatArray
 from joulemap.model.runs.units import UNITS, conversion, own_unit
 
@@ -121,13 +122,8 @@ def take_counters(
     for counter, target in (("energy", "power"), ("charge", "current")):
         if counter in numbers and "t" in numbers and not drawn:
             if is_per_row(numbers[counter]):
-                column, unit = found.chosen[counter].columns[0][:60], found.chosen[counter].unit or own_unit(counter)
-                raise RunsError.of_run(
-                    name,
-                    f"{column} rises and falls again and again, so it does not count from the begin: if it "
-                    f"is what came since the row before, say so with a mapping, {counter}={column}:{unit}/row",
-                    column=counter,
-                )
+                source = found.chosen[counter]
+                raise no_counter(name, counter, source.columns[0], source.unit or own_unit(counter))
             rate = rate_of(numbers["t"], total_of(numbers[counter]))
             numbers[target] = rate
             reading[target] = f"the rate of {reading.pop(counter, counter)}"
@@ -136,10 +132,7 @@ def take_counters(
         if counter in numbers:
             numbers.pop(counter)
             reading.pop(counter, None)
-    for key in ("current", "power", "voltage"):
-        question = found.questions.get(key)
-        missing = (
-            not drawn and "soc" not in numbers if key != "voltage" else "current" in numbers and "power" not in numbers
-        )
-        if question and missing:
-            raise RunsError.of_run(name, question, column=key)
+    if not drawn and "soc" not in numbers:
+        found.refuse(name, ("current", "power"))
+    if "current" in numbers and "power" not in numbers:
+        found.refuse(name, ("voltage",))

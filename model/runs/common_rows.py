@@ -11,6 +11,7 @@ from joulemap.model.runs.table import FloatArray, TextArray
 
 _PAUSE_PERIODS, _PAUSE_S = 5.0, 2.0  # no interpolation over more than five usual steps, and 2 s at least
 _SPARSE = 0.5  # a column that is known in fewer rows is a series of its own
+_NEEDED = ("x", "y", "lat", "lon", "distance", "speed", "voltage", "current", "power", "energy", "charge", "soc")
 _HELD = ("speed", "voltage", "current", "power", "soc")  # a counter and a position change evenly instead
 _MOST_FILLED = 1e6  # rows of a log of changes, as of eleven days with one a second
 
@@ -22,29 +23,10 @@ def aligned(
 
     They are where some of what a run needs is blank in most rows, as in an export of topics of different rates.
     """
-    needed = [
-        key
-        for key in (
-            "x",
-            "y",
-            "lat",
-            "lon",
-            "distance",
-            "speed",
-            "voltage",
-            "current",
-            "power",
-            "energy",
-            "charge",
-            "soc",
-        )
-        if key in numbers and np.isfinite(numbers[key]).sum() > 1
-    ] + [
-        key
-        for key in (*numbers, *rest)
-        if key.startswith("current_") and np.isfinite({**rest, **numbers}[key]).sum() > 1
-    ]
     every, t = {**rest, **numbers}, numbers["t"]
+    parts = [key for key in (*numbers, *rest) if key.startswith("current_")]
+    needed = [key for key in (*_NEEDED, *parts) if key in every and (key in numbers or key in parts)]
+    needed = [key for key in needed if np.isfinite(every[key]).sum() > 1]
     held = [key for key in needed if key in _HELD or key.startswith("current_")]
     if _of_changes(t, [every[key] for key in held]):
         return _filled(numbers, rest, texts, held)

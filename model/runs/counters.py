@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.errors import RunsError
 from joulemap.model.runs.table import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -93,3 +94,13 @@ def is_per_row(counter: FloatArray) -> bool:
     known = counter[np.isfinite(counter)]
     steps = np.diff(known)
     return bool(known.size > LONGEST_STEP and np.abs(steps).sum() > LONGEST_STEP * np.ptp(known) > 0)
+
+
+def no_counter(name: str, target: str, column: str, unit: str) -> RunsError:
+    """Return the error of a column that should count, and does not, with the mapping that says what it may be."""
+    return RunsError.of_run(
+        name,
+        f"{column[:60]} rises and falls again and again, so it does not count from the begin: if it is what came since "
+        f"the row before, say so with a mapping, {target}={column[:60]}:{unit}/row",
+        column=target,
+    )

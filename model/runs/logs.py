@@ -20,10 +20,9 @@ from joulemap.model.runs.common_rows import at_stamps
 from joulemap.model.runs.formats import FORMATS
 from joulemap.model.runs.formats.contract import HEAD_BYTES, Log, LogFormat, Stream
 from joulemap.model.runs.joined import joined
-from joulemap.model.runs.mapping import Source, source_of
+from joulemap.model.runs.mapping import Source, replaced, source_of
 from joulemap.model.runs.marks import without_marks
 from joulemap.model.runs.rearranged import rearranged
-from joulemap.model.runs.recognition import replaced
 from joulemap.model.runs.table import LEAST_ROWS, LIMITS, FloatArray, TableLimits, usable
 from joulemap.model.runs.table_columns import Table, table_of
 from joulemap.model.runs.units import conversion

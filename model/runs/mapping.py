@@ -127,6 +127,22 @@ def source_of(target: str, text: str, columns: Collection[str], name: str) -> So
     return Source(parts, unit)
 
 
+def replaced(target: str, chosen: Collection[str]) -> bool:
+    """Return whether the user has said a column, or another way to say the same.
+
+    Result: True too of `lat` where x and y are said, and of a current where another or a power is.
+    """
+    if target in chosen:
+        return True
+    if target in ("lat", "lon"):
+        return "x" in chosen and "y" in chosen
+    if target in ("x", "y"):
+        return "lat" in chosen and "lon" in chosen
+    if target == "current" or target.startswith("current_"):
+        return "power" in chosen or any(key == "current" or key.startswith("current_") for key in chosen)
+    return False
+
+
 def _entries(text: str) -> list[str]:
     """`t=a:ms,current=b` is two entries; a comma inside a name begins no new one."""
     return re.split(r",(?=\s*[A-Za-z_][A-Za-z0-9_]*\s*=)", text)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from joulemap.model.errors import RunsError
 from joulemap.model.runs import agreement
 from joulemap.model.runs.column_values import numbers_of, read_column, words_of
 from joulemap.model.runs.columns_of_motion import (
@@ -73,9 +72,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
     chosen = found.chosen
     if "t" in chosen:
         stream = _in_order(stream, chosen["t"], name, repairs)
-    for target, question in found.questions.items():
-        if target in stream.numbers and target in ("t", "x", "y", "lat", "lon"):  # it is there twice
-            raise RunsError.of_run(name, question, column=target)
+    found.refuse(name, [key for key in ("t", "x", "y", "lat", "lon") if key in stream.numbers])  # it is there twice
     used = {column for source in chosen.values() for column in source.columns}
     used |= {column for pack in found.packs for source in pack for column in source.columns}
     numbers: dict[str, FloatArray] = {}

@@ -136,9 +136,9 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
         lists = {key: item for key, item in value.items() if isinstance(item, list) and len(item) >= LEAST_ROWS}
         lengths = {len(item) for item in lists.values()}
         plain = [key for key, item in lists.items() if not isinstance(item[0], dict) and not _is_long(item[0])]
-        series = {key: item[0].keys() for key, item in lists.items() if isinstance(item[0], dict)}
-        if len(series) > 1 and len({frozenset(each) for each in series.values()}) == 1:
-            yield [{"name": key} | row for key in series for row in lists[key] if isinstance(row, dict)]
+        keys = {key: frozenset(item[0]) for key, item in lists.items() if isinstance(item[0], dict)}
+        if len(keys) > 1 and len({*keys.values()}) == 1:
+            yield [{"name": key} | row for key in keys for row in lists[key] if isinstance(row, dict)]
         if len(plain) > 1 and len(lengths) == 1:
             yield [dict(zip(plain, row, strict=True)) for row in zip(*(lists[key] for key in plain), strict=True)]
         elif len(value) >= LEAST_ROWS and all(isinstance(item, dict) and item for item in value.values()):

@@ -193,12 +193,6 @@ class _Complaints:
         return len(text)
 
 
-class _Hearing(threading.local):
-    """What hears this thread while it reads a log."""
-
-    said: _Complaints | None = None
-
-
 class _Switch:
     """In place of a standard stream while any thread reads: only what such a thread prints does not get through."""
 
@@ -207,13 +201,13 @@ class _Switch:
 
     def write(self, text: str) -> int:
         """Pass a text on, or keep it from the stream."""
-        return (_hearing.said or self.beyond).write(text)  # type: ignore[no-any-return]
+        return (getattr(_hearing, "said", None) or self.beyond).write(text)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.beyond, name)
 
 
-_hearing = _Hearing()
+_hearing = threading.local()  # what hears this thread while it reads a log
 _readings = 0  # of all threads, now
 _lock = threading.Lock()
 
@@ -222,7 +216,7 @@ _lock = threading.Lock()
 def _heard() -> Iterator[None]:
     """Hear what this thread prints; the standard streams come back with the last thread that reads."""
     global _readings
-    outer, _hearing.said = _hearing.said, _Complaints()
+    outer, _hearing.said = getattr(_hearing, "said", None), _Complaints()
     with _lock:
         _readings += 1
         for name in ("stdout", "stderr"):

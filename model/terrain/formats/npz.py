@@ -19,6 +19,7 @@ from joulemap.model.terrain.formats.npy import read_header, read_heights
 _MAX_SCALAR_BYTES = 65_536  # a CRS in WKT is about 1,000
 _NAMES = ("heights", "elevation", "height", "dem", "z", "topo")
 _SCALARS = ("resolution_m", "west_m", "north_m", "crs")
+_BROKEN = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error)
 _SIDES = ("resolution", "cell_size", "cellsize")  # in metres, like the heights
 
 
@@ -54,18 +55,7 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
                 if there:
                     with archive.open(members[there[0]]) as member:
                         scalars[key] = _read_scalar(member, key)
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        lzma.LZMAError,
-        struct.error,
-        EOFError,
-        OSError,
-        NotImplementedError,
-        RuntimeError,
-        KeyError,
-        ValueError,
-    ) as error:
+    except (*_BROKEN, EOFError, OSError, RuntimeError, KeyError, ValueError) as error:
         raise HeightmapError(f"the .npz file is truncated or corrupt: {str(error)[:200]}") from error
     return Decoded(
         heights,
