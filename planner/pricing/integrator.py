@@ -103,20 +103,25 @@ def within_margin(lattice: CostLattice, points: Points) -> list[float]:
     to half a cell, those beside or ahead of which a leg at the margin may not be driven.
     """
     margin = margin_cells(lattice)
-    if margin == 0.0 or len(points) < 2:
+    if margin == 0.0 or len(points) < 2 or not _closed_beside(lattice, points, margin).any():
         return []
     fine = subdivided(points, 0.5)
-    starts, step = fine[:-1], np.diff(fine, axis=0)
-    side = np.column_stack([step[:, 1], -step[:, 0]]) / np.maximum(np.hypot(*step.T), 1e-12)[:, None]
-    shifts = [margin * k / math.ceil(margin) for k in range(-math.ceil(margin), math.ceil(margin) + 1)]
-    closed = np.zeros(len(step), dtype=np.bool_)
-    ahead = margin * step / np.maximum(np.hypot(*step.T), 1e-12)[:, None]
-    for shift in shifts:
-        closed |= np.isnan(
-            leg_prices_between(lattice, starts + shift * side - ahead, starts + step + shift * side + ahead)
-        )
+    step, closed = np.diff(fine, axis=0), _closed_beside(lattice, fine, margin)
     stretch = np.cumsum(np.diff(closed, prepend=False) & closed)
     return np.bincount(stretch[closed], np.hypot(*step[closed].T))[1:].tolist() if closed.any() else []
+
+
+def _closed_beside(lattice: CostLattice, points: Points, margin: float) -> NDArray[np.bool_]:
+    """Whether ground within a margin [cells] beside or ahead of each leg of a polyline may not be driven, (n - 1,)."""
+    step = np.diff(points, axis=0)
+    along = margin * step / np.maximum(np.hypot(*step.T), 1e-12)[:, None]
+    side = np.column_stack([along[:, 1], -along[:, 0]])
+    closed = np.zeros(len(step), dtype=np.bool_)
+    for share in np.linspace(-1.0, 1.0, 2 * math.ceil(margin) + 1):
+        closed |= np.isnan(
+            leg_prices_between(lattice, points[:-1] + share * side - along, points[1:] + share * side + along)
+        )
+    return closed
 
 
 def world_points(lattice: CostLattice, xy: ArrayLike) -> Points:
