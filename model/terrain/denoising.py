@@ -1,6 +1,7 @@
 """The ground as a noisy survey lets it be known: the heights without its noise.
 
-Heights are split into details of 2, 4 and 8 cells and the rest (B3 splines with holes, Starck & Murtagh 2006).
+Heights are split into details of 2, 4 and 8 cells, and of 16 where noise is alike over some of them, and the rest (B3
+splines with holes, Starck & Murtagh 2006).
 Noise has known shares in them, which follow from its correlation: 0.89, 0.20 and 0.09 of its standard deviation where
 it is independent from cell to cell.
 Where the details nearby are larger than noise makes them, they are kept (local Wiener filter, Mihcak et al. 1999;
@@ -32,8 +33,8 @@ LEAST_NOISE_M = 0.003
 """Noise below this changes no price by 1 %, and rough ground alone may look like it."""
 _HALF_SIDE = 3
 """The ground is taken to be alike within 7 x 7 cells."""
-MARGIN_CELLS = 2 * (2 * (2**_SCALES - 1) + _HALF_SIDE) + REACH_CELLS
-"""How far a height depends on others."""
+_WIDE_CELLS = 1.5
+"""Noise that is alike over more is partly in details of 16 cells."""
 _GRAIN_M = np.float32(2.0**-12)
 """Far below the least noise."""
 _ROWS_AT_ONCE = 64
@@ -55,8 +56,8 @@ def check_noise(noise_m: float | None, length_m: float) -> None:
         )
     if length_m > 0.0 and noise_m is None:
         raise HeightmapError(
-            f"`noise_length_m` is {length_m:g} m, and `noise_m` is missing: noise that is alike over some cells cannot "
-            "be estimated from the heights, give its standard deviation too",
+            f"`noise_length_m` is {length_m:g} m, and `noise_m` is missing: a length alone is no noise, give its "
+            "standard deviation too",
             noise_length_m=str(length_m),
         )
 
@@ -64,6 +65,16 @@ def check_noise(noise_m: float | None, length_m: float) -> None:
 def correlation_of(cells: FloatArray, length_cells: float) -> FloatArray:
     """Return the correlation of noise at distances (n,) [cells]: exp(-d^2 / 2 l^2), 0 for independent noise."""
     return np.exp(-0.5 * np.square(cells / max(length_cells, 1e-3)))
+
+
+def scales_of(length_cells: float) -> int:
+    """Return how many scales of details hold noise: one more where details of 8 cells leave a tenth of it and more."""
+    return _SCALES + (length_cells > _WIDE_CELLS)
+
+
+def margin_cells(length_cells: float) -> int:
+    """Return how far a height without noise depends on others [cells], by the length over which noise is alike."""
+    return 2 * (2 * (2 ** scales_of(length_cells) - 1) + _HALF_SIDE) + REACH_CELLS
 
 
 @cache
@@ -76,7 +87,8 @@ def noise_shares(length_cells: float) -> tuple[float, ...]:
     if length_cells == 0.0:
         return NOISE_SHARES
     splines = [np.ones(1)]
-    for scale in range(_SCALES):
+    scales = scales_of(length_cells)
+    for scale in range(scales):
         step = np.zeros(4 * 2**scale + 1)
         step[:: 2**scale] = _SPLINE
         splines.append(np.convolve(splines[-1], step))
@@ -84,7 +96,7 @@ def noise_shares(length_cells: float) -> tuple[float, ...]:
     wide = np.array([np.pad(spline, (size - spline.size) // 2) for spline in splines])  # (scales + 1, size)
     apart = np.subtract.outer(np.arange(size), np.arange(size))
     common = np.square(wide @ correlation_of(apart, length_cells) @ wide.T)
-    variances = [common[k, k] - 2.0 * common[k, k + 1] + common[k + 1, k + 1] for k in range(_SCALES)]
+    variances = [common[k, k] - 2.0 * common[k, k + 1] + common[k + 1, k + 1] for k in range(scales)]
     return tuple(math.sqrt(max(variance, 0.0)) for variance in variances)
 
 
@@ -103,12 +115,12 @@ def denoised(heights: FloatArray, noise_m: float, length_cells: float = 0.0) -> 
         return heights
     variances = [np.float32((noise_m * share) ** 2) for share in noise_shares(length_cells)]
     filled, known, base = _filled(heights)
-    details, rest, _ = _details(filled, known, base)
+    details, rest = _details(filled, known, len(variances))
     first = rest.copy()
     for detail, variance in zip(details, variances, strict=True):
         _by_rows(_add_shrunk, detail, detail, variance, True, first)
     out = rest
-    for detail, ground, variance in zip(details, _details(first, known, base)[0], variances, strict=True):
+    for detail, ground, variance in zip(details, _details(first, known, len(variances))[0], variances, strict=True):
         _by_rows(_add_shrunk, detail, ground, variance, False, out)
     correlation = correlation_of(np.arange(REACH_CELLS + 1, dtype=np.float32), length_cells)
     # in whole grains, whose sums are exact: what counts as a step is the same in every window
@@ -124,11 +136,11 @@ def _filled(heights: FloatArray) -> tuple[FloatArray, FloatArray, np.float32]:
     return np.where(known, heights - base, np.float32(0.0)), known.astype(np.float32), base
 
 
-def _details(filled: FloatArray, known: FloatArray, _: np.float32) -> tuple[list[FloatArray], FloatArray, FloatArray]:
-    """The details of every scale, the smooth rest, and where heights are known."""
+def _details(filled: FloatArray, known: FloatArray, scales: int) -> tuple[list[FloatArray], FloatArray]:
+    """The details of every scale, and the smooth rest."""
     whole = bool(known.all())
     details = []
-    for scale in range(_SCALES):
+    for scale in range(scales):
         detail, smooth = np.empty_like(filled), np.empty_like(filled)
         _by_rows(_smooth, filled, 2**scale, detail, smooth)
         if not whole:
@@ -138,7 +150,7 @@ def _details(filled: FloatArray, known: FloatArray, _: np.float32) -> tuple[list
             detail = filled - smooth
         details.append(detail)
         filled = smooth
-    return details, filled, known
+    return details, filled
 
 
 def _by_rows(work, *arguments) -> None:  # type: ignore[no-untyped-def]

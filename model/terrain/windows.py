@@ -17,10 +17,10 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.denoising import (
     LEAST_NOISE_M,
-    MARGIN_CELLS,
     check_noise,
     denoised,
     hiding_noise_m,
+    margin_cells,
 )
 from joulemap.model.terrain.formats.contract import WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
@@ -149,9 +149,10 @@ def window_without_noise(ground: Ground, row0: int, row1: int, col0: int, col1: 
     if ground.noise.noise_m < LEAST_NOISE_M:
         return ground.window(row0, row1, col0, col1)
     rows, cols = ground.frame.shape
-    top, left = max(row0 - MARGIN_CELLS, 0), max(col0 - MARGIN_CELLS, 0)
-    around = ground.window(top, min(row1 + MARGIN_CELLS, rows), left, min(col1 + MARGIN_CELLS, cols))
     length = ground.noise.length_m / ground.frame.resolution_m
+    margin = margin_cells(length)
+    top, left = max(row0 - margin, 0), max(col0 - margin, 0)
+    around = ground.window(top, min(row1 + margin, rows), left, min(col1 + margin, cols))
     heights = denoised(around.heights, ground.noise.noise_m, length)[row0 - top : row1 - top, col0 - left : col1 - left]
     heights = ground.layers.over(heights, ground.frame.window(row0, row1, col0, col1))
     place, removed = ground.frame.window(row0, row1, col0, col1), hiding_noise_m(ground.noise.noise_m, length)

@@ -11,7 +11,7 @@ from joulemap.model.errors import HeightmapError
 from joulemap.model.field.sites import random_site
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
-from joulemap.model.terrain.denoising import LEAST_NOISE_M, MARGIN_CELLS, _details, denoised, noise_shares
+from joulemap.model.terrain.denoising import LEAST_NOISE_M, _details, denoised, margin_cells, noise_shares
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.noise_estimate import noise_of
 from joulemap.model.terrain.readers import open_ground
@@ -66,7 +66,8 @@ def test_shares_of_noise_with_a_length_are_those_of_drawn_noise(length_cells):
     shape = (800, 800)
     noise = gaussian_filter(np.random.default_rng(7).standard_normal(shape), length_cells / np.sqrt(2.0), mode="wrap")
     noise = (noise / noise.std()).astype(np.float32)
-    details = _details(noise, np.ones(shape, np.float32), np.float32(0.0))[0]
+    count = len(noise_shares(length_cells))
+    details = _details(noise, np.ones(shape, np.float32), count)[0]
     assert [detail.std() for detail in details] == pytest.approx(noise_shares(length_cells), rel=0.08, abs=0.002)
 
 
@@ -151,17 +152,21 @@ def test_unknown_heights_stay_unknown_and_change_little_around_them():
     assert noise_of(holes) == pytest.approx(noise_of(survey.heights), rel=0.05)
 
 
-def test_windows_of_a_file_are_those_of_the_whole_map(tmp_path):
+@pytest.mark.parametrize("length_m", [0.0, 0.3])
+def test_windows_of_a_file_are_those_of_the_whole_map(tmp_path, length_m):
     clean, rng = surveys(0.1, smooth=False)
     survey = noisy(clean, 0.05, rng)
+    if length_m:
+        noise = gaussian_filter(rng.standard_normal(clean.frame.shape), length_m / 0.1 / np.sqrt(2.0), mode="wrap")
+        survey = replace(clean, heights=(clean.heights + 0.1 / noise.std() * noise).astype(np.float32))
     path = tmp_path / "dem.tif"
     write_geotiff(path, survey)
     whole, file = read_heightmap(path).without_noise.heights, open_ground(path)
-    for place in ((0, 60, 0, 70), (100, 180, 210, 300), (40 + MARGIN_CELLS, 120, 3, 90)):
+    for place in ((0, 60, 0, 70), (100, 180, 210, 300), (40 + margin_cells(0.0), 120, 3, 90)):
         row0, row1, col0, col1 = place
         part = window_without_noise(file, *place)
         np.testing.assert_allclose(part.heights, whole[row0:row1, col0:col1], atol=1e-5)
-        assert part.removed_noise_m == file.noise_m
+        assert (part.removed_noise_m == file.noise_m) == (file.noise_length_m == 0.0)
 
 
 def test_noise_that_is_told_counts(tmp_path):
