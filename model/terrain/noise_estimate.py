@@ -124,10 +124,12 @@ def twists_of(heights: FloatArray) -> NDArray[np.float64]:
         twist = twist[~np.isnan(twist)]
         if twist.size * step**2 < _LEAST_KNOWN:
             break
-        half, most = np.partition(twist, (twist.size // 2, twist.size * 9 // 10))[
-            [twist.size // 2, twist.size * 9 // 10]
-        ]
-        found.append(((0.5 * _NORMAL * float(half)) ** 2, twist.size * step**2, float(most) / max(float(half), 1e-12)))
+        half, tail = twist.size // 2, twist.size * 9 // 10
+        twist.partition(half)  # one at a time: several times as fast as both at once
+        upper = twist[half:]
+        upper.partition(tail - half)
+        median, decile = float(twist[half]), float(twist[tail])
+        found.append(((0.5 * _NORMAL * median) ** 2, twist.size * step**2, decile / max(median, 1e-12)))
     return np.array(found).reshape(-1, 3)
 
 
