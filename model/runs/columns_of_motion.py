@@ -40,6 +40,25 @@ def take_degrees(
     found.notes.append("`x` and `y` are taken for a longitude and a latitude: in metres they would hardly move")
 
 
+def take_radians(numbers: dict[str, FloatArray], stream: Stream, words: dict[str, str], found: Recognised) -> None:
+    """Latitudes and longitudes that are in radians: then their way is that of the distance or of the speed."""
+    if not {"t", "lat", "lon"} <= numbers.keys() or any(found.chosen[key].unit for key in ("lat", "lon")):
+        return
+    turned = {key: np.degrees(numbers[key]) for key in ("lat", "lon")}
+    path_m = agreement.path_of(turned) if np.nanmax(np.abs([*turned.values()]), initial=0.0) <= 180.0 else None
+    column = found.chosen["speed"].columns[0] if "speed" in found.chosen else ""
+    driven, units = numbers.get("distance"), {"m": (1.0, 0.0)}
+    if driven is None and column in stream.numbers:
+        driven, units = summed(numbers["t"], stream.numbers[column]), UNITS["speed"]
+    if driven is None or not path_m:
+        return
+    whole = float(np.nanmax(driven, initial=0.0))
+    if any(abs(whole * factor / path_m - 1.0) < _AGREE for factor, _ in units.values()):
+        numbers |= turned
+        words |= dict.fromkeys(turned, "rad")
+        found.notes.append("`lat` and `lon` are taken for radians: in degrees the way would be 57 times too short")
+
+
 def time_of(
     source: Source, stream: Stream, path_m: float | None, name: str, found: Recognised
 ) -> tuple[FloatArray, str]:

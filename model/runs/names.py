@@ -31,7 +31,8 @@ _WORDS: dict[str, frozenset[str]] = {
     "z": _set("z altitude alt elevation elev elv ele height hohe hoehe altitud altezza hoogte 標高 高度 海拔"),
     "lat": _set("lat latitude breite breitengrad latitud latitudine breedtegraad 緯度 纬度"),
     "lon": _set(
-        "lon lng long longitude longtitude lange langengrad laengengrad longitud longitudine lengtegraad 経度 经度"
+        "lon lng long longitude longtitude lange laenge langengrad laengengrad longitud longitudine "
+        "lengtegraad 経度 经度"
     ),
     "voltage": _set(
         "voltage voltages volts volt u v vbat vbatt vin vbus ubat ubatt spannung tension voltaje tensione "
@@ -70,7 +71,7 @@ _ABOUT = _set(
     "tot sum setup overall all input in bus dc hv supply system sys sensor measured actual value data inverter "
     "vehicle car robot base mcu esc vesc of the and today abs log logged header since start device obd traction "
     "ground location loc geo coordinates point track enhanced is true field msg message data hybrid bms filtered body "
-    "tform transform discharge ev batterie bateria akku accu gesamt fahrzeug vehicule 電池 电池 double"
+    "tform transform discharge ev batterie bateria akku accu gesamt fahrzeug vehicule 電池 电池 double 总 累计 数据"
 )
 """Words that do not change what a column is."""
 
@@ -261,8 +262,8 @@ def _divided(word: str) -> list[str]:
     if word in _VOCABULARY or len(word) > 40:
         return [word]
     best: list[list[str] | None] = [[], *([None] * len(word))]
-    for end in range(2, len(word) + 1):
-        for begin in range(end - 1):
+    for end in range(1, len(word) + 1):
+        for begin in range(end - word.isascii()):  # a sign of Chinese is a word
             before = best[begin]
             if before is not None and word[begin:end] in _VOCABULARY:
                 now = best[end]

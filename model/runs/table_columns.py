@@ -12,6 +12,7 @@ from joulemap.model.runs.column_values import numbers_of, read_column, words_of
 from joulemap.model.runs.columns_of_motion import (
     take_degrees,
     take_distance,
+    take_radians,
     take_speed,
     time_of,
     with_heading,
@@ -96,6 +97,8 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
     if "t" in chosen:
         known_m = path_m if "distance" not in chosen or chosen["distance"].unit else agreement.path_of(numbers)
         numbers["t"], words["t"] = time_of(chosen["t"], stream, known_m, name, found)
+    take_radians(numbers, stream, words, found)
+    path_m = agreement.path_of(numbers) if "rad" in words.values() else path_m
     if "speed" in chosen:
         take_speed(chosen["speed"], stream, numbers, path_m, name, repairs, found, words)
     volts, amps = (

@@ -161,7 +161,7 @@ def test_degrees_and_minutes_are_read_as_text_and_as_numbers():
         assert np.ptp(run.y) == pytest.approx(ROWS * 8.1e-6 * 110_955, rel=0.01)
 
 
-@pytest.mark.parametrize("kind", ["lines", "records", "columns", "rows", "split", "streams", "lists", "keys"])
+@pytest.mark.parametrize("kind", ["lines", "records", "columns", "rows", "split", "streams", "lists", "keys", "line"])
 def test_json_of_any_shape(kind):
     records = [
         {"time": t, "pos": {"x": x, "y": 4e6}, "battery": {"voltage": v, "current": i}}
@@ -175,6 +175,9 @@ def test_json_of_any_shape(kind):
         "columns": json.dumps({"log": plain}),
         "rows": json.dumps([list(plain), *map(list, zip(*plain.values(), strict=True))]),
         "streams": json.dumps([{"type": key, "unit": "", "data": values} for key, values in plain.items()]),
+        "line": json.dumps(
+            {"a": {key: plain[key] for key in "xy"}, "b": {key: plain[key] for key in plain if key not in "xy"}}
+        ),
         "lists": json.dumps(
             {
                 key: [{"ts": 1.7e12 + 1e3 * t, "value": f"{v:.6f}"} for t, v in zip(plain["t"], values, strict=True)]
@@ -216,12 +219,31 @@ def test_rows_that_name_their_quantities(shape):
     as_it_was(parse_run("\n".join(SHAPES[shape]) + "\n", name="r"))
 
 
+@pytest.mark.parametrize("form", ["{:,.0f}", "{:,.3f}", "german"])
+def test_marks_between_thousands_are_no_decimal_marks(form):
+    def _cell(value):
+        return f"{value:,.3f}".translate(str.maketrans(",.", ".,")) if form == "german" else form.format(value)
+
+    driven = 1e3 * (X - X[0])
+    rows = [f"{t};{_cell(x)};{_cell(v * i * 1e3)}" for t, x, v, i in zip(T, driven, VOLTS, AMPS, strict=True)]
+    as_it_was(parse_run("\n".join(["t;distance (mm);power (mW)", *rows]) + "\n", name="r"))
+
+
+@pytest.mark.parametrize("unit", [1.0, 3.6])
+def test_radians_are_told_by_the_speed(unit):
+    lat = np.radians(36.1 + 8.1e-6 * np.arange(ROWS))
+    speed = np.full(ROWS, unit * 8.1e-6 * 110_955 / 0.5)
+    columns = without("x", "y", Latitude=lat, Longitude=np.full(ROWS, np.radians(-4.1)), Speed=speed)
+    run = read(columns, crs="EPSG:32630", digits=10)
+    assert np.ptp(run.y) == pytest.approx(ROWS * 8.1e-6 * 110_955, rel=0.01)
+    assert any("taken for radians" in note for note in run.notes)
+
+
 @pytest.mark.parametrize("encoding", ["cp932", "gb18030", "utf-8"])
 def test_names_of_east_asia_are_read_in_their_encodings(encoding):
     columns = without("x", "y", lat=36.1 + 8.1e-6 * np.arange(ROWS), lon=np.full(ROWS, -4.1))
-    words = (
-        {**WORDS, "lat": "纬度", "lon": "经度", "voltage": "电压(V)", "t": "时间"} if encoding == "gb18030" else WORDS
-    )
+    chinese = {"t": "数据时间", "lat": "纬度", "lon": "经度", "voltage": "总电压", "current": "总电流"}
+    words = chinese if encoding == "gb18030" else WORDS
     text = "\n".join(lines({words[key]: values for key, values in columns.items()}, digits=7)) + "\n"
     run = parse_run(text.encode(encoding), name="r", crs="EPSG:32630")
     assert np.ptp(run.y) == pytest.approx(ROWS * 8.1e-6 * 110_955, rel=0.01)

@@ -27,6 +27,11 @@ _DEGREES = (
 )
 _DECIMAL = r"[+-]?\d{1,3}\.\d{3,}"  # of degrees: fewer places are no position
 _PAIR = rf"^\s*(?P<point>POINT)?\s*[\[(]?\s*(?P<a>{_DECIMAL})\s*[ ,;]\s*(?P<b>{_DECIMAL})\s*[\])]?\s*$"
+_GROUPED = (
+    (",", r"^[+-]?\d{1,3}(,\d{3})*(\.\d*)?\s*[a-zA-Z%]*$", r",\d{3}[,.]|^[1-9]\d{0,2}$"),
+    (".", r"^[+-]?\d{1,3}(\.\d{3})*(,\d*)?\s*[a-zA-Z%]*$", r"\.\d{3}[.,]"),
+)
+"""The mark between thousands, what all cells look like, and what one of them does at least."""
 _HALF = 0.5  # most cells
 
 
@@ -139,6 +144,7 @@ def _of_words(values: Any) -> tuple[FloatArray | None, str, int]:
     known = len(words) - words.null_count
     if known == 0:
         return np.full(len(words), np.nan), "", 0
+    words = _without_groups(words)
     sample = words.drop_null().slice(0, 1000)
     if _share(sample, _NUMBER) > _HALF:
         parts = pc.extract_regex(words, _NUMBER)
@@ -168,6 +174,18 @@ def _of_words(values: Any) -> tuple[FloatArray | None, str, int]:
     found = seconds[np.nan_to_num(at, nan=0).astype(np.int64)]
     found[np.isnan(np.asarray(at, dtype=np.float64))] = np.nan
     return found, DATE if np.nanmax(found) > 86_400.0 else CLOCK, known - int(np.isfinite(found).sum())
+
+
+def _without_groups(words: Any) -> Any:
+    """Numbers without the marks between thousands: 1,234,567 or 1,234.5; 1.234,5; also 1,234 beside 987."""
+    import pyarrow.compute as pc
+
+    for mark, whole, sure in _GROUPED:
+        grouped = pc.fill_null(pc.match_substring_regex(words, whole), True)
+        if pc.all(grouped).as_py() and pc.any(pc.match_substring_regex(words, sure)).as_py():
+            marked = pc.any(pc.match_substring(words, mark)).as_py()
+            return pc.replace_substring(words, mark, "") if marked else words
+    return words
 
 
 def _share(words: Any, pattern: str) -> float:
