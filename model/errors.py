@@ -51,7 +51,22 @@ class JoulemapError(Exception):
 
     @classmethod
     def of_run(cls, run: str, words: str, **context: Any) -> Self:
-        """Return the error of a measured run, whose name comes before the words and is in the context."""
+        """Return the error of a measured run.
+
+        Parameters
+        ----------
+        run : str
+            Its name, which comes before the words and is in the context.
+        words : str
+            What is wrong.
+        **context : Any
+            As of `JoulemapError`.
+
+        Returns
+        -------
+        Self
+            To be raised.
+        """
         return cls(f"run {run}{words if words[0] in ' ,' else f': {words}'}", run=run, **context)
 
 

@@ -21,26 +21,12 @@ _MAY_BE_CONSTANT = ("voltage", "z", "soc", "t")
 
 @dataclass
 class Recognised:
-    """What was recognised.
-
-    Attributes
-    ----------
-    chosen : dict of str to Source
-        By joulemap's column.
-    packs : list of (Source, Source)
-        Voltage and current of batteries in parallel.
-    questions : dict of str to str
-        By joulemap's column that is not known, a sentence with the option that answers it.
-    confidence : dict of str to float
-        By joulemap's column, 0 to 1.
-    notes : list of str
-        What is to be known.
-    """
+    """What was recognised, by joulemap's column."""
 
     chosen: dict[str, Source] = field(default_factory=dict)
-    packs: list[tuple[Source, Source]] = field(default_factory=list)
-    questions: dict[str, str] = field(default_factory=dict)
-    confidence: dict[str, float] = field(default_factory=dict)
+    packs: list[tuple[Source, Source]] = field(default_factory=list)  # voltage and current of batteries in parallel
+    questions: dict[str, str] = field(default_factory=dict)  # of what is not known, with the option that answers it
+    confidence: dict[str, float] = field(default_factory=dict)  # 0 to 1
     notes: list[str] = field(default_factory=list)
 
     @property

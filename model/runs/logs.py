@@ -182,20 +182,13 @@ def _common_stamps(log: Log, chosen: Mapping[str, Source], home: Mapping[str, St
 
     power, place = _streams(_POWER), _streams(_PLACE) or _streams(_WAY)
     there = ", ".join(stream.name for stream in log.streams)[:300]
-    if not power:
-        raise RunsError.of_run(
-            name,
-            f"no message with a current or a power was found (in {there}); say which with a mapping, "
-            "such as current=/battery.current:A",
-            column="current",
-        )
-    if not place:
-        raise RunsError.of_run(
-            name,
-            f"no message with a position was found (in {there}); say which with a mapping, such as "
-            "lat=/fix.latitude,lon=/fix.longitude",
-            column="x",
-        )
+    for column, what, streams, option in (
+        ("current", "a current or a power", power, "current=/battery.current:A"),
+        ("x", "a position", place, "lat=/fix.latitude,lon=/fix.longitude"),
+    ):
+        if not streams:
+            words = f"no message with {what} was found (in {there}); say which with a mapping, such as {option}"
+            raise RunsError.of_run(name, words, column=column)
     base = min([*power, *place], key=_period)
     assert base.t is not None
     ends = [(float(np.min(stream.t)), float(np.max(stream.t))) for stream in (*power, *place) if stream.t is not None]

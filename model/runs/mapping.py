@@ -43,18 +43,10 @@ _LONGEST_SOURCE = 500
 
 @dataclass(frozen=True)
 class Source:
-    """Where a column of joulemap is taken from.
-
-    Attributes
-    ----------
-    parts : tuple of (int, str)
-        Sign and name of each column; the values are summed.
-    unit : str
-        As `units.known_unit` returns it; empty for joulemap's own.
-    """
+    """Where a column of joulemap is taken from: the sum of columns with signs."""
 
     parts: tuple[tuple[int, str], ...]
-    unit: str = ""
+    unit: str = ""  # as `units.known_unit` returns it; empty for joulemap's own
 
     @property
     def columns(self) -> list[str]:

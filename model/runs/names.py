@@ -122,27 +122,13 @@ NAMED, LIKELY, POSSIBLE = 3, 2, 1
 
 @dataclass(frozen=True)
 class Candidate:
-    """A column that may be one of joulemap's.
-
-    Attributes
-    ----------
-    column : str
-        Its name in the log.
-    unit : str
-        As `units.known_unit` returns it; empty where the name says none.
-    sureness : int
-        `NAMED`, `LIKELY` or `POSSIBLE`.
-    total : int
-        How much the name speaks for the whole: 2 where it says that it is a sum, and 1 more where it says battery.
-    instance : str
-        Number or side that the name has; empty without.
-    """
+    """A column that may be one of joulemap's."""
 
     column: str
-    unit: str
-    sureness: int
-    total: int = 0
-    instance: str = ""
+    unit: str  # as `units.known_unit` returns it; empty where the name says none
+    sureness: int  # NAMED, LIKELY or POSSIBLE
+    total: int = 0  # how much the name speaks for the whole: 2 where it says a sum, 1 more where it says battery
+    instance: str = ""  # number or side that the name has
 
 
 def candidate(target: str, column: str, unit: str = "") -> Candidate | None:

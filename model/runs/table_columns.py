@@ -38,33 +38,15 @@ _SHUFFLED = 0.2  # of the steps between rows go back in time
 
 @dataclass
 class Table:
-    """A log as a table.
-
-    Attributes
-    ----------
-    numbers : dict of str to ndarray of float, (n,)
-        Columns of numbers, NaN for blank, nan, inf and what is too large.
-    texts : dict of str to ndarray of str, (n,)
-        Columns of text.
-    reading : dict of str to str
-        By joulemap's column that was not there under its own name and in its own unit: what was taken.
-    format : str
-        Name of the file's format.
-    notes : tuple of str
-        What is to be known of the file: that it was cut off, for example.
-    confidence : dict of str to float
-        By joulemap's column, how sure it is that this is it, 0 to 1.
-    signed : frozenset of str
-        Of `power` and `current`, those that are positive while the battery discharges, as the user or a name says.
-    """
+    """A log as a table of columns (n,): NaN for what is blank, infinite or too large."""
 
     numbers: dict[str, FloatArray]
     texts: dict[str, TextArray]
-    reading: dict[str, str] = field(default_factory=dict)
+    reading: dict[str, str] = field(default_factory=dict)  # what was taken for a column under another name or unit
     format: str = ""
     notes: tuple[str, ...] = ()
-    confidence: dict[str, float] = field(default_factory=dict)
-    signed: frozenset[str] = frozenset()
+    confidence: dict[str, float] = field(default_factory=dict)  # 0 to 1
+    signed: frozenset[str] = frozenset()  # of SIGNED, those that are said to be positive while the battery discharges
 
 
 def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dict[str, int]) -> Table:

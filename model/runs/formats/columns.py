@@ -27,11 +27,11 @@ _DEGREES = (
 )
 _DECIMAL = r"[+-]?\d{1,3}\.\d{3,}"  # of degrees: fewer places are no position
 _PAIR = rf"^\s*(?P<point>POINT)?\s*[\[(]?\s*(?P<a>{_DECIMAL})\s*[ ,;]\s*(?P<b>{_DECIMAL})\s*[\])]?\s*$"
-_GROUPED = (
-    (",", r"^[+-]?\d{1,3}(,\d{3})*(\.\d*)?\s*[a-zA-Z%]*$", r",\d{3}[,.]|^[1-9]\d{0,2}$"),
-    (".", r"^[+-]?\d{1,3}(\.\d{3})*(,\d*)?\s*[a-zA-Z%]*$", r"\.\d{3}[.,]"),
-)
-"""The mark between thousands, what all cells look like, and what one of them does at least."""
+_GROUPED = {
+    ",": (r"^[+-]?\d{1,3}(,\d{3})*(\.\d*)?\s*[a-zA-Z%]*$", r",\d{3}[,.]|^[1-9]\d{0,2}$"),
+    ".": (r"^[+-]?\d{1,3}(\.\d{3})*(,\d*)?\s*[a-zA-Z%]*$", r"\.\d{3}[.,]"),
+}
+"""By the mark between thousands, what all cells of a column look like, and what one of them does at least."""
 _HALF = 0.5  # most cells
 
 
@@ -59,7 +59,7 @@ def stream_of(
     numbers: dict[str, FloatArray] = {}
     texts: dict[str, TextArray] = {}
     said, broken = dict(units or {}), {}
-    for column, values in zip(table.column_names, table.columns, strict=True):
+    for column, values in zip(table.column_names, _without_thousands(table.columns), strict=True):
         found, unit, unread = _numbers(values)
         if found is not None:
             numbers[column] = np.where(np.abs(found) <= LARGEST, found, np.nan)
@@ -144,7 +144,6 @@ def _of_words(values: Any) -> tuple[FloatArray | None, str, int]:
     known = len(words) - words.null_count
     if known == 0:
         return np.full(len(words), np.nan), "", 0
-    words = _without_groups(words)
     sample = words.drop_null().slice(0, 1000)
     if _share(sample, _NUMBER) > _HALF:
         parts = pc.extract_regex(words, _NUMBER)
@@ -176,16 +175,19 @@ def _of_words(values: Any) -> tuple[FloatArray | None, str, int]:
     return found, DATE if np.nanmax(found) > 86_400.0 else CLOCK, known - int(np.isfinite(found).sum())
 
 
-def _without_groups(words: Any) -> Any:
-    """Numbers without the marks between thousands: 1,234,567 or 1,234.5; 1.234,5; also 1,234 beside 987."""
+def _without_thousands(columns: Sequence[Any]) -> list[Any]:
+    """Columns without the marks between thousands: of 1,234,567 or 1,234.5, of 1.234,5, also of 1,234 below 987."""
+    import pyarrow as pa
     import pyarrow.compute as pc
 
-    for mark, whole, sure in _GROUPED:
-        grouped = pc.fill_null(pc.match_substring_regex(words, whole), True)
-        if pc.all(grouped).as_py() and pc.any(pc.match_substring_regex(words, sure)).as_py():
-            marked = pc.any(pc.match_substring(words, mark)).as_py()
-            return pc.replace_substring(words, mark, "") if marked else words
-    return words
+    found = list(columns)
+    for mark, (whole, sure) in _GROUPED.items():
+        texts = [k for k, each in enumerate(found) if pa.types.is_string(each.type)]
+        alike = [k for k in texts if _share(found[k].slice(0, 1000), whole) == 1.0 == _share(found[k], whole)]
+        if any(_share(found[k], f"[{mark}]") and _share(found[k], sure) for k in alike):
+            for k in alike:
+                found[k] = pc.replace_substring(found[k], mark, "")
+    return found
 
 
 def _share(words: Any, pattern: str) -> float:
