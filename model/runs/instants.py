@@ -13,6 +13,7 @@ FloatArray = NDArray[np.float64]
 
 _DAY_S = 86_400.0
 _TIME_OF_DAY = re.compile(r"^(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?(?:\s*([AaPp])\.?[Mm]\.?)?$")
+_MINUTES = re.compile(r"^(\d{1,3}):([0-5]\d[.,]\d{1,3})$")  # of a lap; degrees and minutes have more places
 _ORDERED = re.compile(r"^(\d{1,2})([./-])(\d{1,2})\2(\d{2,4})\b")
 _FRACTION = re.compile(r"(?<=\d\d:\d\d:\d\d)[.,:](\d+)")
 _ISO = re.compile(r"^\d{4}-\d\d?-\d\d?")
@@ -62,6 +63,8 @@ def across_midnight(t: FloatArray) -> FloatArray:
 def _seconds(text: str, day_first: bool) -> float:
     if not text:
         return np.nan
+    if (lap := _MINUTES.match(text)) is not None:
+        return 60.0 * int(lap[1]) + float(lap[2].replace(",", "."))
     clock = _TIME_OF_DAY.match(text)
     if clock is not None:
         hours, minutes = int(clock[1]), int(clock[2])

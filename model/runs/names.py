@@ -89,7 +89,8 @@ _ELECTRIC = _set(
 _NOT: dict[str, frozenset[str]] = {
     **dict.fromkeys(("voltage", "current", "power"), _NEVER | _ELECTRIC | _set("trip")),
     **dict.fromkeys(
-        ("energy", "charge"), _NEVER | _ELECTRIC | _set("charged recovered capacity available recuperated")
+        ("energy", "charge"),
+        (_NEVER - _set("remaining")) | _ELECTRIC | _set("charged recovered capacity available recuperated"),
     ),
     "soc": (_NEVER - _set("remaining")) | _ELECTRIC | _set("health soh displayed index signal oil water"),
     "speed": _NEVER | _set("wind motor rotor fan angular rotation engine shaft turn wheel crank"),
@@ -102,6 +103,7 @@ SIDES: Mapping[str, str] = {
     "front": "front", "rear": "rear", "back": "rear",
 }  # fmt: skip
 """Words for a part of the vehicle."""
+_PER_WAY = re.compile(r"(?i)h ?/ ?\d* ?(km|mi|m)\b")  # of an energy: a consumption, and no counter
 _BY_UNIT = ("voltage", "current", "power", "soc")  # of which the unit of a battery's column leaves one
 _MEANS = (["avg"], ["average"], ["mean"])
 _WHEEL = _set("wheel wheels")
@@ -166,7 +168,7 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
         return None
     if target in ("energy", "charge", "speed"):
         in_name = in_name or next((u for word in words if (u := known_unit(target, word))), None)  # watt_hours_used
-        if not (in_name or said) and target != "speed":
+        if target != "speed" and (not (in_name or said) or _PER_WAY.search(column)):
             return None
     if target == "soc" and not (in_name == "%" or said or {"soc", "percent", "percentage", "level"} & {*words}):
         return None

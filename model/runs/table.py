@@ -43,24 +43,14 @@ class TableLimits:
 
     def check(self, rows: int, columns: int, name: str) -> None:
         """Refuse a declared size before memory is allocated for it."""
-        if columns > self.columns:
-            raise TooLargeError.of_run(
-                name,
-                f" has {columns:,} columns, the limit is {self.columns:,}: leave columns out",
-                columns=columns,
-                limit=self.columns,
-            )
-        if rows > self.rows:
-            raise TooLargeError.of_run(
-                name, f" has {rows:,} rows, the limit is {self.rows:,}: split it", rows=rows, limit=self.rows
-            )
-        if rows * columns > self.cells:
-            raise TooLargeError.of_run(
-                name,
-                f" has {rows * columns:,} cells, the limit is {self.cells:,}: split it, or leave columns out",
-                cells=rows * columns,
-                limit=self.cells,
-            )
+        for what, found, limit, advice in (
+            ("columns", columns, self.columns, "leave columns out"),
+            ("rows", rows, self.rows, "split it"),
+            ("cells", rows * columns, self.cells, "split it, or leave columns out"),
+        ):
+            if found > limit:
+                words = f" has {found:,} {what}, the limit is {limit:,}: {advice}"
+                raise TooLargeError.of_run(name, words, **{what: found}, limit=limit)
 
     def check_texts(self, rows: int, letters: int, name: str, column: str) -> None:
         """Refuse a column of text before memory is allocated for it."""

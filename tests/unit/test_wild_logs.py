@@ -25,6 +25,7 @@ X = 500_000 + np.cumsum(np.full(ROWS, 0.9))
 VOLTS = 25.0 + 0.1 * np.sin(T / 40)
 AMPS = 3.0 + np.sin(T / 15)
 JOULES = float(np.sum(0.5 * (VOLTS[1:] * AMPS[1:] + VOLTS[:-1] * AMPS[:-1]) * np.diff(T)))
+LEFT = np.append(0.0, np.cumsum(0.5 * (VOLTS[1:] * AMPS[1:] + VOLTS[:-1] * AMPS[:-1]) * np.diff(T))) / 3600  # Wh
 METRES = float(X[-1] - X[0])
 PLAIN = {"t": T, "x": X, "y": np.full(ROWS, 4e6), "voltage": VOLTS, "current": AMPS}
 
@@ -60,6 +61,10 @@ FAULTS = {
     "a header in a comment": lambda text: [f"# {text[0]}", *text[1:]],
     "spaces between": lambda text: [line.replace(",", "  ") for line in text],
     "bars between": lambda text: [line.replace(",", "|") for line in text],
+    "words before numbers": lambda text: [
+        f"{text[0]},a,b,c,d,e,f",
+        *(f"{line},eco,1,auto,2,on,3" for line in text[1:]),
+    ],
     "marks for what is missing": lambda text: [*text[:100], "N/A,null,NA,--,?", *text[100:]],
     "units in the cells": lambda text: [text[0], *(line + " A" for line in text[1:])],
 }
@@ -227,6 +232,14 @@ def test_marks_between_thousands_are_no_decimal_marks(form):
     driven = 1e3 * (X - X[0])
     rows = [f"{t};{_cell(x)};{_cell(v * i * 1e3)}" for t, x, v, i in zip(T, driven, VOLTS, AMPS, strict=True)]
     as_it_was(parse_run("\n".join(["t;distance (mm);power (mW)", *rows]) + "\n", name="r"))
+
+
+def test_times_of_laps_what_is_left_and_spaces_before_quotes():
+    rows = zip(T, X - X[0], 50 - LEFT, strict=True)
+    left = [f'"{t // 60:02.0f}:{t % 60:04.1f}"; "{x:.3f}"; "{e:.6f}"' for t, x, e in rows]
+    as_it_was(parse_run("\n".join(['"Lap time"; "Distance [m]"; "Remaining energy [Wh]"', *left]) + "\n", name="r"))
+    with pytest.raises(RunsError, match="neither a column 'current'"):
+        read({"t": T, "speed": np.full(ROWS, 1.8), "Consumption (kWh/100km)": VOLTS + AMPS})
 
 
 @pytest.mark.parametrize("unit", [1.0, 3.6])

@@ -58,7 +58,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             "read: save numbers, array.astype(float)"
         )
         if any(candidate(key, each.removesuffix(".npy")) for key in NEEDED for each in objects):
-            raise RunsError.of_run(name, f"{notes[0]}")
+            raise RunsError.of_run(name, notes[0])
     columns = [(path, values) for path, values in _columns(found, "", 0) if len(values) >= LEAST_ROWS]
     if not columns:
         raise RunsError.of_run(name, f" holds no array of {LEAST_ROWS} numbers or more")

@@ -24,7 +24,7 @@ def recognise(head: bytes, name: str) -> bool:
     pairs = [[pair[0] for pair in _PAIR.finditer(line)] for line in lines]
     marked = [sum("=" in pair or ":" in pair for pair in found) for found in pairs]
     cells = [len(re.findall("[^,]+", line)) for line in lines]
-    columns = len(lines) > 1 and all(4 * len(found) > n > 4 for found, n in zip(pairs[1:], cells[1:], strict=True))
+    columns = len(lines) > 1 and all(4 * len(found) > max(n, 12) for found, n in zip(pairs[1:], cells[1:], strict=True))
     return bool(lines) and (min(marked) > 1 or columns)
 
 

@@ -61,7 +61,9 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     quoted = content.find(b'"', start) >= 0
     body = _without_headers(content, start, line)
     if quoted:
-        body = _closed(bytes(body), name, repairs)
+        body = re.sub(
+            re.escape(separator.encode()) + rb' +"', separator.encode() + b'"', _closed(bytes(body), name, repairs)
+        )
     columns = named(header)
     options = {
         # a small file needs no threads, and a process that has none may be forked
@@ -267,7 +269,7 @@ def _cells(line: str, separator: str) -> list[str]:
     if separator == " ":
         return line.split()
     try:
-        cells = next(csv.reader([line], delimiter=separator), [])
+        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
     except csv.Error:
         cells = line.split(separator)
     return [cell.strip() for cell in cells]
