@@ -49,7 +49,18 @@ class Surveyed:
     given_noise_length_m: float
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Any:
-        """Return a `Heightmap` of some of its cells."""
+        """Return a `Heightmap` of some of its cells.
+
+        Parameters
+        ----------
+        row0, row1, col0, col1 : int
+            Rows and columns from the first up to before the second.
+
+        Returns
+        -------
+        Heightmap
+            Of these cells.
+        """
         raise NotImplementedError
 
     @cached_property

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
+from joulemap.model.compiling import bare_njit
 from joulemap.planner.pricing.kernels import driven_leg_energy, heading_memory, turn_angle
 
 ACROSS, ALONG, ON_LINE = 0, 1, 2
@@ -70,7 +71,7 @@ def bent(prices, points, step, direction):
     return points
 
 
-@njit(cache=True, _nrt=False)
+@bare_njit(cache=True)
 def set_sides(points, side, direction, first, end):
     """Fill the unit vectors (n, 2) of the shifts of the vertices from `first` to `end` - 1."""
     n = points.shape[0]
@@ -89,14 +90,14 @@ def set_sides(points, side, direction, first, end):
             side[i, 0], side[i, 1] = along * down + across * right, along * right - across * down
 
 
-@njit(cache=True, _nrt=False)
+@bare_njit(cache=True)
 def shifted(points, side, i, shift, step):
     """Vertex i after a shift: 0 stay, 1 and 2 to either side."""
     move = step * _SIGN[shift]
     return points[i, 0] + move * side[i, 0], points[i, 1] + move * side[i, 1]
 
 
-@njit(cache=True, _nrt=False)
+@bare_njit(cache=True)
 def price_leg(memory, prices, points, side, k, step, cost):
     """Fill cost[k]: energies of leg k [J] for all shifts of its ends; infinite where it may not be driven."""
     least_leg = LEAST_LEG if prices.turn_j_per_rad > 0.0 else 0.0

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from joulemap.model.compiling import bare_njit
 from joulemap.model.frames import wrap_angle
 from joulemap.planner.any_angle.chords import AROUND, Chords, chords_of
 from joulemap.planner.any_angle.region import mark_around
@@ -236,7 +237,7 @@ def _cheapest(prices, chords, weights, part, begins, ends, how, stop):
     return _way_to(last, came, cells, cols, chords.places)
 
 
-@njit(cache=True, forceinline=True, _nrt=False)
+@bare_njit(cache=True, forceinline=True)
 def _filled(at_headings, known, prices, slot, directions, weights, i, j):
     """The number of a cell, from 0, whose tractions are then known; -1 where it takes no part."""
     rows, cols = slot.shape

@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
+from joulemap.model.compiling import bare_njit
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 
@@ -205,7 +206,7 @@ def room_east(closed):
     return room
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@bare_njit(cache=True, nogil=True)
 def any_closed(room, row0, row1, col0, col1):
     """Whether some square of rows row0..row1 and columns col0..col1, both included, is an obstacle."""
     for i in range(row0, row1 + 1):
@@ -218,7 +219,7 @@ def any_closed(room, row0, row1, col0, col1):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@bare_njit(cache=True, nogil=True, error_model="numpy")
 def meets(room, body, row0, col0, row1, col1, east, north, wider):
     """Whether the rectangle meets an obstacle, or leaves the map, on a straight leg.
 

@@ -14,6 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
+from joulemap.model.compiling import bare_njit
 from joulemap.planner.lattice.obstacles import MEETS, meets
 
 TOUCH = 1e-9
@@ -35,7 +36,7 @@ def heading_memory(bins):
     return np.empty(bins), directions
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True, _nrt=False)
+@bare_njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def heading_weights(east, north, memory):
     """Fill memory with the weights of the trigonometric interpolation between equal heading bins.
 
@@ -99,7 +100,7 @@ def _nearest_bin(east, north, bins):
     return nearest if nearest < bins else 0
 
 
-@njit(cache=True, _nrt=False)
+@bare_njit(cache=True)
 def mean_response(t0, tm, t1, regeneration):
     """Return the mean price of motion over a piece of a leg.
 
@@ -130,7 +131,7 @@ def mean_response(t0, tm, t1, regeneration):
     return positive + regeneration * (mean - positive)
 
 
-@njit(cache=True, forceinline=True, fastmath={"reassoc", "contract"}, _nrt=False)
+@bare_njit(cache=True, forceinline=True, fastmath={"reassoc", "contract"})
 def _weighted(weights, traction, i, j):
     """Traction of a cell at the heading that the weights are for; reordered sums let the compiler use vectors."""
     total = 0.0
@@ -139,7 +140,7 @@ def _weighted(weights, traction, i, j):
     return total
 
 
-@njit(cache=True, forceinline=True, _nrt=False)
+@bare_njit(cache=True, forceinline=True)
 def _corner(prices, weights, east, north, limits, i, j):
     """Traction of one cell at the leg's heading, NaN when it is blocked, too steep or takes too much power for it."""
     max_grade, max_cross, max_traction = limits
@@ -153,7 +154,7 @@ def _corner(prices, weights, east, north, limits, i, j):
     return math.nan if shut or steep or tilted or demand > max_traction else demand
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@bare_njit(cache=True, error_model="numpy")
 def fill_tractions(out, n, prices, directions, weights, i, j):
     """Fill the tractions of a cell at some headings.
 
@@ -186,7 +187,7 @@ def leg_energy(prices, leg):
     return leg_energy_with(heading_memory(prices.traction.shape[2]), prices, leg, math.inf)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@bare_njit(cache=True, error_model="numpy", forceinline=True)
 def leg_energy_with(memory, prices, leg, most):
     """Return the energy of a leg as `leg_energy` does, with memory of the caller and a limit.
 
@@ -280,7 +281,7 @@ def leg_energy_with(memory, prices, leg, most):
         t, t0 = t_next, t1
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@bare_njit(cache=True, error_model="numpy")
 def driven_leg_energy(memory, prices, leg, most):
     """Return the mean energy of a leg that is driven with an error to its sides.
 
@@ -341,7 +342,7 @@ def polyline_energies(prices, points):
     return out
 
 
-@njit(cache=True, _nrt=False)
+@bare_njit(cache=True)
 def turn_angle(row0, col0, row1, col1, row2, col2):
     """Return the absolute change of heading between the legs 0-1 and 1-2.
 
