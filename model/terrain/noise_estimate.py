@@ -49,17 +49,17 @@ class Surveyed:
     given_noise_length_m: float
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Any:
-        """Return a `Heightmap` of some of its cells.
+        """Return the heights of some of its cells.
 
         Parameters
         ----------
         row0, row1, col0, col1 : int
-            Rows and columns from the first up to before the second.
+            The cells [row0, row1) x [col0, col1).
 
         Returns
         -------
         Heightmap
-            Of these cells.
+            That part of the map.
         """
         raise NotImplementedError
 
@@ -137,9 +137,9 @@ def twists_of(heights: FloatArray) -> NDArray[np.float64]:
             break
         half, tail = twist.size // 2, twist.size * 9 // 10
         twist.partition(half)  # one at a time: several times as fast as both at once
-        upper = twist[half:]
+        median, upper = float(twist[half]), twist[half:]
         upper.partition(tail - half)
-        median, decile = float(twist[half]), float(twist[tail])
+        decile = float(twist[tail])
         found.append(((0.5 * _NORMAL * median) ** 2, twist.size * step**2, decile / max(median, 1e-12)))
     return np.array(found).reshape(-1, 3)
 
