@@ -27,8 +27,8 @@ _LONGEST_M = 1.2
 _SIDES_PER_LENGTH = 4.0
 """Twice the length must be seen to be beyond it."""
 _MISFIT = 0.1
-"""Relative error of the variance of twists that a power law has for ground: set by simulated grounds, judged on other
-seeds and on grounds without noise."""
+"""Relative error of the variance of twists that a power law has for ground: set by simulated grounds, with and without
+noise."""
 _MEDIAN_VARIANCE = 5.44
 """Variance of the logarithm of a variance by the median absolute deviation, times the number of values (4 x 1.36)."""
 _LIKELIER = 3.84
