@@ -29,7 +29,8 @@ def transform_of(dataset: DatasetReader) -> Affine:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", NotGeoreferencedWarning)
         terms = dataset.read_transform()
-    return Affine.identity() if said else Affine.from_gdal(*terms)
+    nowhere = any(issubclass(one.category, NotGeoreferencedWarning) for one in said)  # others may be of other threads
+    return Affine.identity() if nowhere else Affine.from_gdal(*terms)
 
 
 def check_grid(
