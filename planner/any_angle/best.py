@@ -173,11 +173,10 @@ def _cheapest_in(
     """
     typical_j = _cell_j(lattice, known)
     prices = driven_prices(lattice, typical_j) if any_closed else exact_prices(lattice)
+    known = shortcuts(prices, known)
     turning = prices.turn_j_per_rad > 0.0
     fine = closed or turning
     parts = CLOSED_PARTS if fine else OPEN_PARTS
-    if fine:  # else the line points, or what they are moved to, are always cheaper
-        known = shortcuts(prices, known)
 
     def _cheapest(prices: Prices) -> Points:
         found = cheapest_over_line_points(lattice, prices, cells, known[0], known[-1], parts=parts, typical_j=typical_j)
