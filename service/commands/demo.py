@@ -32,7 +32,7 @@ from joulemap.service.places.places import Places
 from joulemap.service.render.pictures import route_picture
 from joulemap.service.schemas.maps import HeightmapOut
 
-READY_WITHIN_S = 180.0
+READY_WITHIN_S = 600.0
 COSTMAP_WITHIN_S = 300
 CHARGE, RESERVE = 0.5, 0.2  # the battery that the demo asks about: half full, a fifth kept back
 
