@@ -7,6 +7,7 @@ side of the square: that of ground always, that of noise up to twice the length 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -48,6 +49,7 @@ class Surveyed:
     given_noise_m: float | None
     given_noise_length_m: float
 
+    @abstractmethod
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Any:
         """Return the heights of some of its cells.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from html import escape
 
@@ -9,11 +10,13 @@ from html import escape
 class Shown:
     """An object with a title and rows."""
 
+    @abstractmethod
     def _title(self) -> str:
-        raise NotImplementedError
+        """What it is."""
 
+    @abstractmethod
     def _rows(self) -> Mapping[str, str]:
-        raise NotImplementedError
+        """Names and values."""
 
     def __str__(self) -> str:
         rows = self._rows()

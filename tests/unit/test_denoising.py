@@ -76,7 +76,7 @@ def test_noise_that_is_alike_over_some_cells_goes_where_it_is_told(smooth):
     clean, rng = surveys(0.25, smooth=smooth)
     noise = gaussian_filter(rng.standard_normal(clean.frame.shape), 2.0 / np.sqrt(2.0), mode="wrap")
     survey = replace(clean, heights=(clean.heights + 0.05 / noise.std() * noise).astype(np.float32))
-    told = replace(survey, given_noise_m=0.05, given_noise_length_m=0.5).without_noise
+    as_given = replace(survey, given_noise_m=0.05, given_noise_length_m=0.5).without_noise
 
     def _twists(ground):
         """Of squares of two cells, of the error: what wheels feel of it."""
@@ -84,8 +84,8 @@ def test_noise_that_is_alike_over_some_cells_goes_where_it_is_told(smooth):
         return np.std(error[2:, 2:] - error[2:, :-2] - error[:-2, 2:] + error[:-2, :-2])
 
     assert _twists(survey.without_noise) > 0.9 * _twists(survey)  # by the map alone it is ground
-    assert _twists(told) < 0.7 * _twists(survey)
-    assert told.removed_noise_m < 0.4 * 0.05  # it hides less of the finest details than independent noise
+    assert _twists(as_given) < 0.7 * _twists(survey)
+    assert as_given.removed_noise_m < 0.4 * 0.05  # it hides less of the finest details than independent noise
 
 
 def test_without_noise_nothing_is_changed():

@@ -141,6 +141,21 @@ def test_the_command_in_the_refusal_makes_a_map_that_is_read(tmp_path: Path) -> 
         assert heightmap.known_share > 0.8
 
 
+@pytest.mark.filterwarnings("always")
+def test_a_warning_of_another_thread_takes_no_place_from_a_raster(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "dem.tif").write_bytes(geotiff(HEIGHTS))
+    read = rasterio.DatasetReader.read_transform
+
+    def beside_others(self):
+        warnings.warn("of another thread", DeprecationWarning, stacklevel=1)
+        return read(self)
+
+    expected = read_heightmap(tmp_path / "dem.tif").frame
+    monkeypatch.setattr(rasterio.DatasetReader, "read_transform", beside_others)
+    assert read_heightmap(tmp_path / "dem.tif").frame == expected
+    assert (expected.west_m, expected.north_m) == (UTM.c, UTM.f)
+
+
 def test_a_wkt_without_a_code_is_kept() -> None:
     wkt = 'LOCAL_CS["quarry",UNIT["metre",1]]'
     heightmap = read_heightmap(geotiff(crs=rasterio.crs.CRS.from_wkt(wkt)))

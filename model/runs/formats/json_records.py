@@ -133,9 +133,9 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
             if isinstance(item[0], list) and len(item[0]) == len(named) and not _are_words(item[0]):
                 yield [dict(zip(named, row, strict=False)) for row in item if isinstance(row, list)]
         inside = [item for item in value.values() if isinstance(item, dict)]
-        apart = {key: each for item in inside for key, each in item.items() if _is_long(each)}
-        if len(inside) > 1 and len(apart) > 1:  # coordinates, and beside them what was measured at each
-            yield from _tables(apart, depth + 1)
+        lists = {key: each for item in inside for key, each in item.items() if _is_long(each)}
+        if len(inside) > 1 and len(lists) > 1:  # coordinates, and beside them what was measured at each
+            yield from _tables(lists, depth + 1)
         value = {key: _only_list(item) for key, item in value.items()}
         lists = {key: item for key, item in value.items() if isinstance(item, list) and len(item) >= LEAST_ROWS}
         lengths = {len(item) for item in lists.values()}
