@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import GridFrame
-from joulemap.model.terrain.correlated_noise import correlated_noise
+from joulemap.model.terrain.correlated_noise import PerhapsNoise, correlated_noise
 
 FloatArray = NDArray[np.float32]
 
@@ -37,9 +37,10 @@ _NORMAL = 1.4826
 class SurveyNoise:
     """The noise of a survey, given or estimated."""
 
-    noise_m: float = 0.0  # Its standard deviation [m]
+    noise_m: float = 0.0  # Its standard deviation [m]; of bumps that are perhaps noise the square root of their
+    # variance times that probability, so that as much of them is taken out
     length_m: float = 0.0  # Its correlation at distance d is exp(-d^2 / 2 l^2) [m]; 0: independent from cell to cell
-    may_be_m: tuple[float, float] | None = None  # Both for what is taken for ground, and has the shape of noise
+    bumps: PerhapsNoise | None = None  # What has the shape of noise, and may be ground
 
 
 class Surveyed:
@@ -83,16 +84,18 @@ class Surveyed:
         return self.noise.length_m
 
 
+def sample_windows(frame: GridFrame) -> list[tuple[int, int, int, int]]:
+    """Return parts of a map that speak for it all: (row0, row1, col0, col1), the whole of a small one."""
+    (rows, cols), side = frame.shape, _WINDOW_CELLS
+    if rows * cols <= (_WINDOWS * side) ** 2:
+        return [(0, rows, 0, cols)]
+    starts = [np.unique(np.linspace(0, max(size - side, 0), _WINDOWS).astype(int)).tolist() for size in (rows, cols)]
+    return [(row, min(row + side, rows), col, min(col + side, cols)) for row in starts[0] for col in starts[1]]
+
+
 def estimated_noise(ground: Surveyed) -> SurveyNoise:
     """Return the noise of a map of any size, from windows spread over it."""
-    (rows, cols), side, cells_m = ground.frame.shape, _WINDOW_CELLS, ground.frame.resolution_m
-    if rows * cols <= (_WINDOWS * side) ** 2:
-        windows = [(0, rows, 0, cols)]
-    else:
-        starts = [
-            np.unique(np.linspace(0, max(size - side, 0), _WINDOWS).astype(int)).tolist() for size in (rows, cols)
-        ]
-        windows = [(row, min(row + side, rows), col, min(col + side, cols)) for row in starts[0] for col in starts[1]]
+    windows, cells_m = sample_windows(ground.frame), ground.frame.resolution_m
     found = [twists for window in windows if len(twists := twists_of(ground.window(*window).heights)) >= _FINEST]
     if not found:
         return SurveyNoise()
@@ -100,11 +103,13 @@ def estimated_noise(ground: Surveyed) -> SurveyNoise:
     count = min(len(twists) for twists in found)
     each = np.array([twists[:count] for twists in found])  # (windows, sides, 3)
     variances, squares, tails = np.median(each[..., 0], axis=0), each[..., 1].sum(axis=0), np.median(each[..., 2], 0)
-    alike = correlated_noise(np.array(_SIDES[:count], dtype=float), variances, squares, tails, cells_m)
-    if alike is None:
+    bumps = correlated_noise(np.array(_SIDES[:count], dtype=float), variances, squares, tails, cells_m)
+    if bumps is None:
         return independent
-    seen = alike.noise_m, alike.length_cells * cells_m
-    return replace(independent, may_be_m=seen) if alike.may_be_ground else SurveyNoise(*seen)
+    counts_m = math.sqrt(bumps.probability) * bumps.std_m
+    if counts_m > independent.noise_m:
+        return SurveyNoise(counts_m, bumps.length_m, bumps)
+    return replace(independent, bumps=bumps)
 
 
 def noise_of(heights: FloatArray) -> float | None:

@@ -26,6 +26,7 @@ from joulemap.planner.lattice.folder import LatticeFolder
 from joulemap.planner.lattice.limits import ground_limits, noise_warnings, size_warnings
 from joulemap.planner.lattice.obstacles import Obstacles, squares_per_cell
 from joulemap.planner.lattice.steps import shows_obstacles
+from joulemap.planner.lattice.survey_error import with_survey_error
 from joulemap.planner.lattice.tiles import MODEL_REACH_M, Tiling, ground_of
 
 DEFAULT_HEADINGS = 16
@@ -112,7 +113,7 @@ def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: 
             "noise_m": ground.noise.noise_m,
             "noise_length_m": ground.noise.length_m,
         },
-        "model": source.provenance(),
+        "model": with_survey_error(source.provenance(), ground, robot, source),
         "spacing_m": tiling.frame.resolution_m,
         "headings": tiling.headings,
         "warnings": [

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from joulemap.model.robot import Robot
+from joulemap.model.terrain.correlated_noise import PerhapsNoise
 from joulemap.model.terrain.denoising import LEAST_NOISE_M, correlation_of, hiding_noise_m
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.lattice.limits import SQUARE_M, STEP_IN_NOISE
@@ -29,8 +30,8 @@ class VisibleFeatures:
         Length over which it is alike [m]; 0 where it is independent from cell to cell.
     noise_given : bool
         Whether the user gave it; else it was estimated.
-    may_be_noise_m : tuple of float or None
-        Standard deviation and length [m] of bumps that are taken for ground and have the shape of noise.
+    bumps : PerhapsNoise or None
+        Bumps that are noise or ground.
     slope_std_deg : float
         Standard deviation of the slope of a square metre [deg].
     least_bump_m : float
@@ -44,7 +45,7 @@ class VisibleFeatures:
     noise_m: float
     noise_length_m: float
     noise_given: bool
-    may_be_noise_m: tuple[float, float] | None
+    bumps: PerhapsNoise | None
     slope_std_deg: float
     least_bump_m: float
     shortest_bump_m: float
@@ -57,18 +58,16 @@ class VisibleFeatures:
         noise = f"{1000.0 * self.noise_m:.1f} mm, " + ("given" if self.noise_given else "estimated") + alike
         if self.noise_given:
             return noise
-        if alike:
-            return f"{noise}: hardly any ground is as rough. Where it is, give --noise 0"
-        noise += " from what differs from cell to cell. "
-        if self.may_be_noise_m is None:
+        if self.bumps is None:
             return (
-                f"{noise}Noise that is alike over some cells, as of a drone, is only seen where it exceeds bumps of "
-                "ground: otherwise give --noise and --noise-length"
+                f"{noise} from what differs from cell to cell. Noise that is alike over some cells, as of a drone, is "
+                "only seen where it exceeds bumps of ground: otherwise give --noise and --noise-length"
             )
         return (
-            noise
-            + "Bumps of {:.2g} m (standard deviation) that are alike over {:.2g} m count as ground. If they are "
-            "noise, give --noise and --noise-length".format(*self.may_be_noise_m)
+            f"{noise}. Bumps of {1000.0 * self.bumps.std_m:.0f} mm (standard deviation) that are alike over "
+            f"{self.bumps.length_m:.2g} m are taken for noise with a probability of {self.bumps.probability:.0%}. If "
+            f"they are noise, give --noise {self.bumps.std_m:.2g} --noise-length {self.bumps.length_m:.2g}; if they "
+            "are ground, give --noise 0"
         )
 
     def in_words(self, robot: Robot) -> tuple[str, str, str]:
@@ -104,7 +103,7 @@ def visible_features(ground: Ground, robot: Robot) -> VisibleFeatures:
         noise_m,
         noise.length_m,
         ground.given_noise_m is not None,
-        noise.may_be_m,
+        noise.bumps,
         math.degrees(math.atan(slope)),
         BUMP_IN_NOISE * shown,
         2.0 * cells_m,

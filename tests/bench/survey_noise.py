@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter
 
 from joulemap.model.energy.examples import MAX_TURN_RAD
 from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.robots import FieldRobot
 from joulemap.model.field.simulation import simulate_segments
@@ -28,8 +29,10 @@ from joulemap.model.terrain.survey import SurveyQuality, degrade
 from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on, smooth_site
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.build import build_lattice
+from joulemap.planner.lattice.survey_error import with_survey_error
 from joulemap.planner.route import price_route
 from joulemap.planner.route_planner import RoutePlanner
+from joulemap.planner.verdict.energy_distribution import EnergyOdds
 from tests.bench.maps import terrain
 
 NOISES_M = (0.0, 0.01, 0.03, 0.05, 0.1, 0.15)
@@ -73,13 +76,25 @@ def measure(sites: int, *, correlation_m: float, given: bool, as_surveyed: bool,
                 survey = Heightmap(heights, clean.frame, **known)
                 ground = survey if as_surveyed else survey.without_noise
                 for name, predictor in predictors.items():
-                    traction = predictor.segment_traction(ground, declared, *places)
+                    traction, std = predictor.segment_traction_and_std(ground, declared, *places)
                     said = np.maximum(traction, 0.0) + declared.hotel_per_m
                     known = np.isfinite(said)
                     energy = driven.energy_j[straight][known]
                     error = np.abs(said[known] - energy) / energy
-                    found[name, cells_m, noise_m].append((said[known].sum(), energy.sum(), error.mean()))
+                    inside = (
+                        np.nan if std is None else _inside(survey, declared, predictor, said[known], std[known], energy)
+                    )
+                    found[name, cells_m, noise_m].append((said[known].sum(), energy.sum(), error.mean(), inside))
     return found
+
+
+def _inside(survey, robot, predictor, said_j, std_j, energy_j) -> bool:
+    """Whether a drive's energy lies inside the interval of 90 %."""
+    model = with_survey_error({"spread": predictor.spread.as_dict()}, survey, robot, predictor)
+    spread = Spread.from_dict(model["spread"])
+    scale_j, freedom = spread.along(said_j, std_j)
+    odds = EnergyOdds(np.cumsum(said_j), scale_j, freedom, spread.bias, spread.skew)
+    return bool(odds.quantile(0.05)[-1] <= energy_j.sum() <= odds.quantile(0.95)[-1])
 
 
 def routes(sites: int, *, as_surveyed: bool, seed: int) -> None:
@@ -171,15 +186,15 @@ def main() -> None:
         as_surveyed=given.as_surveyed,
         seed=given.seed,
     )
-    print("predicted over driven sum / mean error per metre [%]")
-    print(f"{'':22s}", *(f"{1000 * noise_m:8.0f} mm" for noise_m in NOISES_M))
+    print("predicted over driven sum / mean error per metre [%] / drives inside the interval of 90 % [%]")
+    print(f"{'':22s}", *(f"{1000 * noise_m:11.0f} mm" for noise_m in NOISES_M))
     for name in MODELS:
         for cells_m in CELLS_M:
             row = []
             for noise_m in NOISES_M:
-                said, energy, error = np.array(found[name, cells_m, noise_m]).T
+                said, energy, error, inside = np.array(found[name, cells_m, noise_m], dtype=float).T
                 ratio = np.mean(said / energy)
-                row.append(f"{ratio:6.3f} {100 * error.mean():4.1f}")
+                row.append(f"{ratio:6.3f} {100 * error.mean():4.1f} {100 * inside.mean():3.0f}")
             print(f"{name:10s} {cells_m:4g} m cells", *row)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -133,7 +134,7 @@ def test_a_service_keeps_the_noise_beside_the_map(client, surveys):
 
 @pytest.fixture(scope="module")
 def photogrammetry(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Rough ground of 40 x 40 m on cells of 0.25 m, and the same with 100 mm of noise that is alike over 0.3 m."""
+    """Rough ground of 40 x 40 m on cells of 0.25 m, and with 25 and 100 mm of noise that is alike over 0.3 m."""
     folder = tmp_path_factory.mktemp("photogrammetry")
     rng = np.random.default_rng(8)
     frame = GridFrame(0.0, 40.0, 0.25, 160, 160)
@@ -141,10 +142,11 @@ def photogrammetry(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     ground = make_terrain(recipe, frame, rng)
     noise = gaussian_filter(rng.standard_normal(frame.shape), 0.3 / 0.25 / np.sqrt(2.0), mode="wrap")
     write_geotiff(folder / "clean.tif", ground)
-    survey = ground.heights + np.float32(0.1 / noise.std()) * noise.astype(np.float32)
-    write_geotiff(folder / "noisy.tif", Heightmap(survey, frame))
+    for name, noise_m in (("doubtful", 0.025), ("noisy", 0.1)):
+        survey = ground.heights + np.float32(noise_m / noise.std()) * noise.astype(np.float32)
+        write_geotiff(folder / f"{name}.tif", Heightmap(survey, frame))
     (folder / "robot.toml").write_text("".join(f"{key} = {value}\n" for key, value in ROBOT.items()))
-    return {name: folder / f"{name}.tif" for name in ("clean", "noisy")}
+    return {name: folder / f"{name}.tif" for name in ("clean", "doubtful", "noisy")}
 
 
 def test_noise_that_is_alike_over_a_cell_is_seen_and_taken_out(photogrammetry):
@@ -161,10 +163,23 @@ def test_noise_that_is_alike_over_a_cell_is_seen_and_taken_out(photogrammetry):
     assert noisy["provenance"]["heightmap"]["noise_length_m"] == pytest.approx(0.3, rel=0.15)
 
 
-def test_ground_that_may_be_noise_stays_and_is_said(photogrammetry):
+def test_bumps_of_many_heights_are_no_noise(photogrammetry):
     said = CliRunner().invoke(app, ["info", str(photogrammetry["clean"])])
     assert said.exit_code == 0, said.output
-    assert "count as ground. If they are noise, give --noise and --noise-length" in " ".join(said.output.split())
+    assert "are taken for noise with a probability of 0%" in " ".join(said.output.split())
     ground = jm.read_heightmap(photogrammetry["clean"])
     assert ground.noise_length_m == 0.0
     assert ground.noise_m < 0.02
+
+
+def test_bumps_that_are_noise_or_ground_count_by_their_probability_and_widen_the_odds(photogrammetry):
+    said = " ".join(CliRunner().invoke(app, ["info", str(photogrammetry["doubtful"])]).output.split())
+    assert 0.5 < float(re.search(r"for noise with a probability of (\d+)%", said)[1]) / 100.0 < 0.95
+    given = re.search(r"If they are noise, give (--noise \S+ --noise-length [\d.]+);", said)[1].split()
+    doubtful = made(photogrammetry["doubtful"])[0]
+    ground, noise = (made(photogrammetry["doubtful"], *options)[0] for options in (["--noise", "0"], given))
+    means = [document["energy_per_m"]["mean"] for document in (noise, doubtful, ground)]
+    assert means == sorted(means)
+    known, perhaps = (document["provenance"]["model"]["spread"]["run_share"] for document in (noise, doubtful))
+    assert known < 0.05
+    assert perhaps > 0.3 * (means[2] - means[0]) / means[1]

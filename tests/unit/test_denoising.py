@@ -83,7 +83,7 @@ def test_noise_that_is_alike_over_some_cells_goes_where_it_is_told(smooth):
         error = ground.heights - clean.heights
         return np.std(error[2:, 2:] - error[2:, :-2] - error[:-2, 2:] + error[:-2, :-2])
 
-    assert _twists(survey.without_noise) > 0.9 * _twists(survey)  # by the map alone it is ground
+    assert _twists(survey.without_noise) < 0.6 * _twists(survey)  # by the map alone most of it is seen
     assert _twists(as_given) < 0.7 * _twists(survey)
     assert as_given.removed_noise_m < 0.4 * 0.05  # it hides less of the finest details than independent noise
 

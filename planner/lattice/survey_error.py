@@ -1,0 +1,56 @@
+"""What it does to all energies of a map that bumps of it are noise or ground: nobody knows which."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from joulemap.model.frames import heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.noise_estimate import sample_windows
+from joulemap.model.terrain.windows import Ground
+from joulemap.model.traction import TractionSource
+
+_HEADINGS = 4
+_SPACING_M = 1.0
+
+
+def with_survey_error(model: dict[str, Any], ground: Ground, robot: Robot, source: TractionSource) -> dict[str, Any]:
+    """Return the provenance of a model, with the error of a map in what a whole run has in common.
+
+    `model`: as `TractionSource.provenance` gives it; unchanged from a model that gives no odds.
+    """
+    spread = model.get("spread")
+    error = survey_error(ground, robot, source) if spread is not None else 0.0
+    if spread is None or error == 0.0:
+        return model
+    return {**model, "spread": {**spread, "run_share": math.hypot(spread["run_share"], error)}}
+
+
+def survey_error(ground: Ground, robot: Robot, source: TractionSource) -> float:
+    """Return the standard deviation of a map's energies, as a share of them, over what its bumps may be.
+
+    0 where the noise is known. Parts of the map are priced as if its bumps were ground, and as if they were noise.
+    """
+    bumps = ground.noise.bumps
+    if bumps is None or bumps.probability == 0.0:
+        return 0.0
+    energies = np.zeros(3)
+    noises = (0.0, 0.0), (bumps.std_m, bumps.length_m), (ground.noise.noise_m, ground.noise.length_m)
+    for window in sample_windows(ground.frame):
+        heights = ground.window(*window)
+        if min(heights.frame.shape) * heights.resolution_m < _SPACING_M:
+            continue
+        frame = heights.frame.respaced(_SPACING_M)
+        prices = []
+        for noise_m, length_m in noises:
+            known = replace(heights, given_noise_m=noise_m, given_noise_length_m=length_m).without_noise
+            prices.append(robot.price_per_m(source.traction_and_std(known, robot, frame, heading_bins(_HEADINGS))[0]))
+        energies += np.nansum(prices, axis=(1, 2, 3))
+    if not energies[2] > 0.0:
+        return 0.0
+    if_ground, if_noise = (energies[:2] / energies[2] - 1.0).tolist()
+    return math.sqrt((1.0 - bumps.probability) * if_ground**2 + bumps.probability * if_noise**2)
