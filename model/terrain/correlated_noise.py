@@ -42,6 +42,8 @@ _USUAL_M = 2048e-6 * 0.1**2
 """Spectral density of heights times squared wavenumber [m] between classes D and E of ISO 8608:2016 (of A to H)."""
 _USUAL_NOISE_M = 0.03
 """Standard deviation that surveys usually have: robots 10 to 30 mm, drones 20 to 50, national models 50 to 150."""
+_NOISY_MAPS = 0.2
+"""Share of maps that have such noise: an assumption."""
 _CLASS = math.log(4.0)
 """Standard deviation of the logarithm of a variance. Of ground it is that from one class to the next: unpaved ground is
 of classes C to F in 95 of 100 cases. Of noise it is the same: 95 of 100 surveys have 8 to 120 mm."""
@@ -91,14 +93,14 @@ def correlated_noise(
 
 
 def _probability_of_noise(variance: float, length_m: float) -> float:
-    """Return the probability that bumps are noise, when one map in two has such noise.
+    """Return the probability that bumps are noise.
 
     `variance`: of the bumps [m2]; `length_m`: over which they are alike. Both that of noise and that of ground have a
     log-normal distribution over maps.
     """
     usual_ground = _TWIST_OF_DENSITY * _USUAL_M * 2.0 * length_m
     of_ground, of_noise = (math.log(variance / usual) / _CLASS for usual in (usual_ground, _USUAL_NOISE_M**2))
-    return 1.0 / (1.0 + math.exp(0.5 * (of_noise**2 - of_ground**2)))
+    return 1.0 / (1.0 + (1.0 / _NOISY_MAPS - 1.0) * math.exp(0.5 * (of_noise**2 - of_ground**2)))
 
 
 def _fitted(ground: FloatArray, noise: FloatArray, aim: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

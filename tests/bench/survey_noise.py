@@ -97,7 +97,7 @@ def _inside(survey, robot, predictor, said_j, std_j, energy_j) -> bool:
     return bool(odds.quantile(0.05)[-1] <= energy_j.sum() <= odds.quantile(0.95)[-1])
 
 
-def routes(sites: int, *, as_surveyed: bool, seed: int) -> None:
+def routes(sites: int, *, correlation_m: float, as_surveyed: bool, seed: int) -> None:
     """Print energies of chosen routes over what they cost on the true ground, and that over the best there."""
     robot = Robot(max_grade_deg=35.0, max_cross_slope_deg=35.0)
     print("predicted over true energy of the chosen routes / true energy over that of the best ones")
@@ -108,7 +108,7 @@ def routes(sites: int, *, as_surveyed: bool, seed: int) -> None:
         ends = rng.uniform(4.0, 26.0, (3, 2, 2))
         for cells_m in (0.25, 1.0):
             clean = degrade(site.terrain, SurveyQuality(cells_m), rng=rng)
-            unit = rng.standard_normal(clean.frame.shape)
+            unit = drawn_noise(clean.frame.shape, cells_m, correlation_m, rng)
             for name in MODELS:
                 model = load_predictor(name)
                 truth = _open(build_lattice(replace(clean, given_noise_m=0.0), robot, model))
@@ -177,7 +177,7 @@ def main() -> None:
         times()
         return
     if given.routes:
-        routes(given.sites, as_surveyed=given.as_surveyed, seed=given.seed)
+        routes(given.sites, correlation_m=given.correlation, as_surveyed=given.as_surveyed, seed=given.seed)
         return
     found = measure(
         given.sites,
