@@ -88,6 +88,23 @@ def test_noise_that_is_alike_over_some_cells_goes_where_it_is_told(smooth):
     assert as_given.removed_noise_m < 0.4 * 0.05  # it hides less of the finest details than independent noise
 
 
+@pytest.mark.parametrize("rms_m", [0.02, 0.1])
+@pytest.mark.parametrize("power", [2.0, 3.0])
+def test_self_affine_ground_is_no_noise_and_noise_on_it_is(power, rms_m):
+    rng = np.random.default_rng(9)
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(400), np.fft.fftfreq(400)))
+    frequency[0, 0] = np.inf
+    ground = np.fft.ifft2(np.fft.fft2(rng.standard_normal((400, 400))) * frequency ** (-0.5 * (power + 1.0))).real
+    ground = (rms_m / ground.std() * ground)[:200, :200]
+    noise = gaussian_filter(rng.standard_normal(ground.shape), 1.5 / np.sqrt(2.0), mode="wrap")
+    frame = GridFrame(0.0, 40.0, 0.2, 200, 200)
+    assert Heightmap(ground.astype(np.float32), frame).noise.bumps is None
+    bumps = Heightmap((ground + 0.03 / noise.std() * noise).astype(np.float32), frame).noise.bumps
+    assert bumps.std_m == pytest.approx(0.03, rel=0.1)
+    assert bumps.length_m == pytest.approx(0.3, rel=0.1)
+    assert bumps.probability > 0.5
+
+
 def test_without_noise_nothing_is_changed():
     plane = Heightmap(np.add.outer(0.1 * np.arange(60), 0.2 * np.arange(50)), GridFrame(0.0, 30.0, 0.5, 60, 50))
     assert plane.noise_m < LEAST_NOISE_M
