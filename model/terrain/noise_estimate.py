@@ -84,18 +84,21 @@ class Surveyed:
         return self.noise.length_m
 
 
-def sample_windows(frame: GridFrame) -> list[tuple[int, int, int, int]]:
-    """Return parts of a map that speak for it all: (row0, row1, col0, col1), the whole of a small one."""
-    (rows, cols), side = frame.shape, _WINDOW_CELLS
-    if rows * cols <= (_WINDOWS * side) ** 2:
+def sample_windows(frame: GridFrame, side: int, number: int) -> list[tuple[int, int, int, int]]:
+    """Return parts of a map that speak for it all: (row0, row1, col0, col1), the whole of a small one.
+
+    `side`: of a part [cells]; `number`: of parts along each side of the map.
+    """
+    rows, cols = frame.shape
+    if rows * cols <= (number * side) ** 2:
         return [(0, rows, 0, cols)]
-    starts = [np.unique(np.linspace(0, max(size - side, 0), _WINDOWS).astype(int)).tolist() for size in (rows, cols)]
+    starts = [np.unique(np.linspace(0, max(size - side, 0), number).astype(int)).tolist() for size in (rows, cols)]
     return [(row, min(row + side, rows), col, min(col + side, cols)) for row in starts[0] for col in starts[1]]
 
 
 def estimated_noise(ground: Surveyed) -> SurveyNoise:
     """Return the noise of a map of any size, from windows spread over it."""
-    windows, cells_m = sample_windows(ground.frame), ground.frame.resolution_m
+    windows, cells_m = sample_windows(ground.frame, _WINDOW_CELLS, _WINDOWS), ground.frame.resolution_m
     found = [twists for window in windows if len(twists := twists_of(ground.window(*window).heights)) >= _FINEST]
     if not found:
         return SurveyNoise()

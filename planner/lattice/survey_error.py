@@ -14,8 +14,9 @@ from joulemap.model.terrain.noise_estimate import sample_windows
 from joulemap.model.terrain.windows import Ground
 from joulemap.model.traction import TractionSource
 
-_HEADINGS = 4
 _SPACING_M = 1.0
+_PART_CELLS, _PARTS, _HEADINGS = 64, 2, 4
+"""Of a map 2 x 2 parts of 64 x 64 cells are priced at four headings."""
 
 
 def with_survey_error(model: dict[str, Any], ground: Ground, robot: Robot, source: TractionSource) -> dict[str, Any]:
@@ -40,11 +41,11 @@ def survey_error(ground: Ground, robot: Robot, source: TractionSource) -> float:
         return 0.0
     energies = np.zeros(3)
     noises = (0.0, 0.0), (bumps.std_m, bumps.length_m), (ground.noise.noise_m, ground.noise.length_m)
-    for window in sample_windows(ground.frame):
+    for window in sample_windows(ground.frame, _PART_CELLS, _PARTS):
         heights = ground.window(*window)
         if min(heights.frame.shape) * heights.resolution_m < _SPACING_M:
             continue
-        frame = heights.frame.respaced(_SPACING_M)
+        frame = heights.frame.respaced(max(_SPACING_M, heights.resolution_m))
         prices = []
         for noise_m, length_m in noises:
             known = replace(heights, given_noise_m=noise_m, given_noise_length_m=length_m).without_noise
