@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -58,7 +59,7 @@ def candidates_of(target: str, stream: Stream, taken: Collection[str]) -> list[C
     for column in stream.numbers:
         unit = stream.units.get(column, "")
         of_time = unit in (DATE, CLOCK)
-        if column in taken or (of_time and target != "t"):
+        if column in taken or (of_time and target != "t") or (target == "speed" and _is_part(column, stream)):
             continue
         each = candidate(target, column, "" if of_time else unit)
         if of_time:
@@ -74,6 +75,12 @@ def candidates_of(target: str, stream: Stream, taken: Collection[str]) -> list[C
         speaking = [each for each in speaking if each.sureness]
     own = [each for each in speaking if each.column == target or each.column.startswith(f"{target} (")]  # or it twice
     return own or sorted(speaking, key=lambda each: (-each.sureness, -each.total))
+
+
+def _is_part(column: str, stream: Stream) -> bool:
+    """Whether a column is a component of a vector: `vel[0]` beside `vel[1]`, `velocity.1` beside `velocity.0`."""
+    found = re.fullmatch(r"(.*[\[.])(\d)(\]?)", column)
+    return found is not None and f"{found[1]}{'10'[found[2] == '1']}{found[3]}" in stream.numbers
 
 
 def speaks(target: str, values: FloatArray) -> bool:

@@ -15,8 +15,9 @@ from joulemap.model.runs.counters import LONGEST_STEP, no_counter, pauses, summe
 from joulemap.model.runs.formats.columns import CLOCK, DATE
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.instants import across_midnight
-from joulemap.model.runs.mapping import Source
-from joulemap.model.runs.table import LEAST_ROWS, FloatArray, spread
+from joulemap.model.runs.mapping import RADIUS, Source
+from joulemap.model.runs.names import words_of
+from joulemap.model.runs.table import LEAST_ROWS, SIDES, TURNING, FloatArray, spread
 from joulemap.model.runs.units import UNITS, conversion
 
 _AGREE = 0.2  # a counted distance differs from the sum of the speed by less
@@ -104,6 +105,9 @@ def take_speed(
             if np.nanmax(np.abs(logged), initial=0.0) > _FAST_KMPH:
                 unit = "km/h"
                 found.notes.append(f"`speed` is taken for km/h, because {column[:60]} reaches more than {_FAST_KMPH:g}")
+            elif any(words_of(other)[:2] == ["header", "stamp"] for other in stream.numbers):
+                unit = "m/s"
+                found.notes.append("`speed` is taken for m/s, the unit of ROS, whose stamps it has")
             else:
                 found.questions["speed"] = (
                     f"is {column[:60]} in km/h or m/s? Say it with a mapping: speed={column[:60]}:km/h"
@@ -181,12 +185,34 @@ def without_frozen_positions(numbers: dict[str, FloatArray], found: Recognised) 
     )
 
 
+def take_wheels(
+    numbers: dict[str, FloatArray], reading: dict[str, str], radius: Source | None, found: Recognised
+) -> None:
+    """The speed of a vehicle as the mean of its sides, which are radius times rate where wheels turn [rad/s]."""
+    columns = {key: found.chosen[key].columns[0] for key in (*SIDES, *TURNING) if key in found.chosen}
+    if numbers.keys() >= {*TURNING} and not numbers.keys() & {*SIDES}:
+        if radius is None:
+            found.questions["speed"] = (
+                f"{' and '.join(columns[key][:60] for key in TURNING)} say how fast its wheels turn: say how large they "
+                f"are with a mapping, such as {RADIUS}=0.165 for a radius of 0.165 m"
+            )
+            return
+        for side, turning in zip(SIDES, TURNING, strict=True):
+            numbers[side] = float(radius.unit) * numbers[turning]
+            reading[side] = f"{reading.get(turning, turning)} x {radius.unit} m"
+    if numbers.keys() >= {*SIDES} and not numbers.keys() & {"speed", "distance"}:
+        unsaid = [key for key in SIDES if key in columns and not found.chosen[key].unit and columns[key] != key]
+        if not unsaid:
+            numbers["speed"] = (numbers[SIDES[0]] + numbers[SIDES[1]]) / 2
+            reading["speed"] = f"the mean of {' and '.join(reading.get(key, key) for key in SIDES)}"
+
+
 def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found: Recognised, name: str) -> None:
     """The distance, counted or from the speed, where there is no position."""
     speed = numbers.get("speed")
     made = None if speed is None or "t" not in numbers else summed(numbers["t"], speed)
     placed = {"x", "y"} <= numbers.keys() or {"lat", "lon"} <= numbers.keys()
-    if placed or "t" not in numbers or {"speed_left", "speed_right"} <= numbers.keys():
+    if placed or "t" not in numbers or (numbers.keys() >= {*SIDES} and not numbers.keys() & {"speed", "distance"}):
         numbers.pop("distance", None)
         reading.pop("distance", None)
         return

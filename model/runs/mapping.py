@@ -30,8 +30,9 @@ from joulemap.model.runs.units import (
 MappingLike = Mapping[str, str] | Sequence[str] | str | Path
 """A dict, texts such as `current=batt_current_mA:mA`, or the name of a TOML file."""
 
-CAPACITY = "capacity_wh"
-"""What the battery holds [Wh], said as a number: with it, a state of charge is an energy."""
+CAPACITY, RADIUS, ROW = CONSTANTS = ("capacity_wh", "wheel_radius_m", "row_s")
+"""Said as numbers: what the battery holds [Wh], with which a state of charge is an energy; how large a wheel is [m], with
+which its turning is a way; how long a row of a log without a time lasts [s]."""
 
 SIGNS = {"+": 1, "-": -1}
 """Before the name of a column; of a power or a current it says which sign discharges."""
@@ -94,7 +95,7 @@ def source_of(target: str, text: str, columns: Collection[str], name: str) -> So
 
     Result: with the unit given, else the unit that the column's name says.
     """
-    if target == CAPACITY and _is_number(text):
+    if target in CONSTANTS and _is_number(text):
         return Source((), text)
     whole = _parts(text, columns)
     if whole is not None:

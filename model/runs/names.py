@@ -107,6 +107,9 @@ _PER_WAY = re.compile(r"(?i)h ?/ ?\d* ?(km|mi|m)\b")  # of an energy: a consumpt
 _BY_UNIT = ("voltage", "current", "power", "soc")  # of which the unit of a battery's column leaves one
 _MEANS = (["avg"], ["average"], ["mean"])
 _WHEEL = _set("wheel wheels")
+_JOINT = _set("joint joints")
+_ROLLING = _set("wheel wheels track motor encoder angular drive state states") | _JOINT
+_OF_SIDE = {word: side for side in ("left", "right") for word in (side, side[0], f"f{side[0]}", f"r{side[0]}")}
 _TOTAL = _set("total tot sum setup overall all")
 _BATTERY = _set("battery batt bat pack")
 _VOCABULARY = frozenset().union(*_WORDS.values(), _OTHER_QUANTITIES, _ABOUT, _NEVER, _ELECTRIC, SIDES)
@@ -152,6 +155,8 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
     bracket = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$", column)
     if bracket is not None and in_name is None and not unit and is_unit(bracket[1]):
         return None  # a unit of another quantity
+    if target == "speed" and words[-2:] == ["linear", "x"] and "twist" in words and not _NEVER & {*words}:
+        return Candidate(column_of_two, "m/s", LIKELY)  # geometry_msgs/Twist
     heads = [word for word in words if word in _QUANTITY_WORDS and len(word) > 1]
     own = _WORDS[target]
     if not heads and by_unit and all(word in _ABOUT or word.isdigit() for word in words):
@@ -201,20 +206,36 @@ def part_of(target: str, column: str) -> list[str]:
 
 def motor_current(column: str) -> Candidate | None:
     """Return the current of a motor or of a side, as its name says; None for any other."""
-    return _of_side("current", column, _set("motor drive wheel"))
+    return _of_side("current", column, _WORDS["current"], _set("motor drive wheel"), unit_in_name("current", column)[1])
 
 
-def wheel_speed(column: str) -> Candidate | None:
-    """Return the speed of a side, as its name says; None for any other."""
-    found = _of_side("speed", column, _set("wheel track"))
-    return found if found is not None and found.instance in ("left", "right") else None
+def side_of(column: str) -> str:
+    """Return `left` or `right` where the name of a column says it, also of one of several wheels; else empty."""
+    return next((_OF_SIDE[word] for word in words_of(column) if word in _OF_SIDE), "")
 
 
-def _of_side(target: str, column: str, about: frozenset[str]) -> Candidate | None:
-    stem, unit = unit_in_name(target, column)
-    words = words_of(stem)
-    rest = [word for word in words if word not in _WORDS[target]]
-    instance = next((SIDES.get(word, word) for word in rest if word in SIDES or word.isdigit()), "")
+def wheel_speed(column: str, unit: str = "") -> tuple[str, Candidate] | None:
+    """Return which of joulemap's speeds of a side a column is, rolled or turned, as its name says.
+
+    `unit`: where the log gives it separately. Wheels that are joints of a robot turn in rad/s (sensor_msgs/JointState).
+    """
+    side, joint = side_of(column), bool(_JOINT & {*words_of(column)})
+    for target, usual in ((f"speed_{side}", ""), (f"wheel_{side}_rad_s", "rad/s" if joint else "")):
+        said = known_unit(target, unit) or unit_in_name(target, column)[1] or usual
+        if side and (said or not (joint or usual or target.startswith("wheel"))):
+            own = _WORDS["speed"] | (_set("v") | _WHEEL | SIDES.keys() if said else frozenset())
+            found = _of_side(target, column, own, _ROLLING, said)
+            if found is not None:
+                return target, found
+    return None
+
+
+def _of_side(
+    target: str, column: str, own: frozenset[str], about: frozenset[str], unit: str | None
+) -> Candidate | None:
+    words = words_of(unit_in_name(target, column)[0])
+    rest = [word for word in words if word not in own]
+    instance = next((SIDES.get(word, word) for word in words if word in SIDES or word.isdigit()), "")
     allowed = _ABOUT | about | {*SIDES}
     if len(rest) == len(words) or not instance or any(w not in allowed and not w.isdigit() for w in rest):
         return None
@@ -227,7 +248,7 @@ def _whole(words: Collection[str]) -> int:
 
 def is_unit(word: str) -> bool:
     """Return whether a word, or a number, is a unit of some quantity."""
-    return any(known_unit(target, word) is not None for target in ("t", "x", "lat", "temperature", "payload", *_WORDS))
+    return any(known_unit(target, word) is not None for target in ("t", "x", "lat", "temperature", "payload", "wheel_left_rad_s", *_WORDS))
 
 
 @lru_cache(maxsize=20_000)

@@ -18,9 +18,9 @@ from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.ranges import TRACK_M
 from joulemap.model.runs.arcs import rows_missing
-from joulemap.model.runs.rolling import SIDES, rolled_between, without_blanks
+from joulemap.model.runs.rolling import rolled_between, without_blanks
 from joulemap.model.runs.run import Run
-from joulemap.model.runs.table import columns_there
+from joulemap.model.runs.table import SIDES, columns_there
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
@@ -66,6 +66,7 @@ def with_track(
             )
     left, right = (without_blanks(numbers[side]) for side in SIDES)
     x, y, heading = integrate(numbers["t"], left, right, track_m=odometry.track_m)
+    numbers.pop("distance", None)
     numbers |= {"x": x, "y": y, "heading": np.degrees(heading) % 360.0, "speed": (left + right) / 2}
     terrain = terrain_in_name(name) if odometry.terrain_from_name else None
     if terrain is not None:

@@ -49,11 +49,11 @@ from joulemap.model.errors import RunsError
 from joulemap.model.runs.electric import Currents, electric
 from joulemap.model.runs.fixes import positions, usable_fixes
 from joulemap.model.runs.logs import read_log
-from joulemap.model.runs.mapping import CAPACITY
+from joulemap.model.runs.mapping import CAPACITY, ROW
 from joulemap.model.runs.odometry import Odometry, with_track
 from joulemap.model.runs.reckoning import fill_by_wheels
 from joulemap.model.runs.run import Run
-from joulemap.model.runs.table import LEAST_ROWS, LIMITS, TableLimits, add_count, columns_there
+from joulemap.model.runs.table import LEAST_ROWS, LIMITS, TableLimits, add_count, columns_there, spread
 from joulemap.model.runs.table_columns import Table
 
 FloatArray = NDArray[np.float64]
@@ -175,7 +175,7 @@ def run_of(
         raise RunsError.of_run(
             name,
             f"there is no column 't' (seconds){columns_there(numbers)}; a mapping says which it is, like "
-            "t=timestamp_ms:ms",
+            f"t=timestamp_ms:ms, or how long a row lasts, like {ROW}=0.5",
             column="t",
         )
     rows = _ordered_rows(numbers["t"], name, repairs)
@@ -200,6 +200,8 @@ def run_of(
     x, y = fill_by_wheels(t, x, y, breaks, numbers, repairs)
     if np.isfinite(x).sum() < 2:
         raise RunsError.of_run(name, "no usable position is left after the rules for bad fixes", repairs=repairs)
+    if spread(x) == spread(y) == 0.0:
+        raise RunsError.of_run(name, "it does not move: its position is the same in every row", column="x")
     return Run(
         name,
         t,

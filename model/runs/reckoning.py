@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import wrap_angle
-from joulemap.model.runs.table import add_count
+from joulemap.model.runs.table import SIDES, TURNING, add_count
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-WHEELS = (("speed_left", "speed_right"), ("velL", "velR"), ("wheel_left_rad_s", "wheel_right_rad_s"))
+WHEELS = (SIDES, ("velL", "velR"), TURNING)
 """Pairs of columns of wheel speeds, in m/s or rad/s."""
 
 _MISCLOSURE_M = 0.5  # half a segment: a place that is further off belongs to another one

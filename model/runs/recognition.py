@@ -11,13 +11,15 @@ from collections.abc import Mapping
 from joulemap.model.runs.candidates import CONFIDENCE, Recognised, candidates_of, speaks, surest
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.mapping import Source, replaced, source_of
-from joulemap.model.runs.names import NAMED, POSSIBLE, Candidate, ruled_out, wheel_speed
-from joulemap.model.runs.table import spread
+from joulemap.model.runs.names import NAMED, POSSIBLE, Candidate, ruled_out, side_of, wheel_speed, words_of
+from joulemap.model.runs.table import SIDES, TURNING, spread
 from joulemap.model.runs.units import known_unit, quantity_of, unit_in_name
 from joulemap.model.runs.which_battery import choose_battery
 from joulemap.model.runs.which_time import choose_time, take_axis
 
 _BY_UNIT = {"t": ("s", "ms"), "voltage": ("V", "mV"), "current": ("A", "mA"), "speed": ("km/h", "m/s", "mph")}
+_WHEELS = {*SIDES, *TURNING}
+_TICKS = {"tick", "ticks", "encoder", "enc", "counts"}
 
 
 def recognised(stream: Stream, mapping: Mapping[str, str], name: str) -> Recognised:
@@ -73,11 +75,20 @@ def _moves(stream: Stream, found: Recognised, pair: tuple[str, str]) -> bool:
 
 
 def _choose_speeds(stream: Stream, mapping: Mapping[str, str], found: Recognised) -> None:
-    sides = {each.instance: each for column in stream.numbers if (each := wheel_speed(column)) is not None}
-    for side in sorted(sides):
-        if f"speed_{side}" not in mapping and f"speed_{side}" not in stream.numbers:
-            found.take(f"speed_{side}", [sides[side]])
     placed = {"x", "y"} <= found.chosen.keys() or {"lat", "lon"} <= found.chosen.keys()
+    for column in sorted(stream.numbers, key=lambda each: each not in _WHEELS):
+        target, wheel = wheel_speed(column, stream.units.get(column, "")) or ("", None)
+        known = {*found.chosen, *(_WHEELS if _WHEELS & mapping.keys() else ())}
+        if wheel is not None and column not in found.taken and target not in known | ({*TURNING} if placed else set()):
+            found.take(target, [wheel])
+    ticks = [column for column in stream.numbers if side_of(column) and _TICKS & {*words_of(column)}]
+    if {*map(side_of, ticks)} == {"left", "right"} and not _WHEELS & found.chosen.keys():
+        both = "+".join(next(column[:60] for column in ticks if side_of(column) == side) for side in ("left", "right"))
+        found.questions.setdefault(
+            "distance",
+            f"how far does it roll in half a tick of {both}? Say it in metres with a mapping, pi times the radius of a wheel "
+            f"over the ticks of a turn, such as distance={both}:0.00015",
+        )
     _choose("speed", stream, found, least=NAMED if placed else POSSIBLE)
 
 

@@ -9,11 +9,10 @@ from joulemap.model.runs.arcs import STILL_M, STOP_S, equal_parts, rows_missing,
 from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.smoothing import smooth
+from joulemap.model.runs.table import SIDES
 
 FloatArray = NDArray[np.float64]
 
-SIDES = ("speed_left", "speed_right")
-"""Columns of the wheel speeds [m/s]."""
 HEADING_SMOOTHING_S = 0.8
 """Setting: headings from wheel speeds are smoothed over so long before turns are measured: jitter is no turning, but it
 adds up. Chosen on a Husky: without it left-out runs err by 2 % more; from 0.7 to 1 s they err alike."""

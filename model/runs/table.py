@@ -66,6 +66,9 @@ class TableLimits:
             )
 
 
+SIDES, TURNING = ("speed_left", "speed_right"), ("wheel_left_rad_s", "wheel_right_rad_s")
+"""Columns of how fast the sides roll [m/s], and their wheels turn [rad/s]."""
+
 LIMITS = TableLimits()
 """Of files that somebody reads on a machine of their own."""
 

@@ -14,6 +14,7 @@ from joulemap.model.runs.columns_of_motion import (
     take_distance,
     take_radians,
     take_speed,
+    take_wheels,
     time_of,
     with_heading,
     without_frozen_positions,
@@ -25,7 +26,7 @@ from joulemap.model.runs.common_rows import aligned
 from joulemap.model.runs.counters import total_of
 from joulemap.model.runs.formats.columns import DATE
 from joulemap.model.runs.formats.contract import Stream
-from joulemap.model.runs.mapping import CAPACITY, SIGNS, Source
+from joulemap.model.runs.mapping import CAPACITY, CONSTANTS, RADIUS, ROW, SIGNS, Source, source_of
 from joulemap.model.runs.names import DISCHARGE
 from joulemap.model.runs.names import words_of as words_of_name
 from joulemap.model.runs.recognition import recognised
@@ -51,8 +52,14 @@ class Table:
 
 def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dict[str, int]) -> Table:
     """Return a table in joulemap's columns and units, as far as they can be recognised."""
+    if ROW in mapping:
+        rows = len(next(iter((*stream.numbers.values(), *stream.texts.values())), ()))
+        lasts = float(source_of(ROW, mapping[ROW], (), name).unit)
+        units = {key: unit for key, unit in stream.units.items() if key != "t"}
+        stream = replace(stream, numbers=stream.numbers | {"t": lasts * np.arange(rows)}, units=units)
     found = recognised(stream, mapping, name)
     chosen = found.chosen
+    said = {key: chosen.pop(key) for key in CONSTANTS if key in chosen and not chosen[key].parts}
     if "t" in chosen:
         stream = _in_order(stream, chosen["t"], name, repairs)
     found.refuse(name, [key for key in ("t", "x", "y", "lat", "lon") if key in stream.numbers])  # it is there twice
@@ -62,8 +69,6 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
     texts: dict[str, str] = {}  # columns of texts
     words: dict[str, str] = {}  # of units that are found out here
     for target, source in chosen.items():
-        if target == CAPACITY and not source.parts:
-            continue
         if target not in ("t", "speed", "heading"):
             only = source.columns[0] if len(source.parts) == 1 else ""
             if only in stream.texts and own_unit(target) == "":
@@ -117,8 +122,9 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
             reading["heading"] = f"{open_heading} [{agreeing[1]}]"
     check_power(numbers, chosen, mapping, reading, found, name)
     take_counters(numbers, reading, found, mapping, name)
-    if CAPACITY in chosen and not chosen[CAPACITY].parts and "t" in numbers:
-        numbers[CAPACITY] = np.full(numbers["t"].size, float(chosen[CAPACITY].unit))
+    if CAPACITY in said and "t" in numbers:
+        numbers[CAPACITY] = np.full(numbers["t"].size, float(said[CAPACITY].unit))
+    take_wheels(numbers, reading, said.get(RADIUS), found)
     without_frozen_positions(numbers, found)
     take_distance(numbers, reading, found, name)
     numbers |= {column: values for column, values in rest.items() if column not in numbers}

@@ -19,7 +19,7 @@ _ALWAYS_BYTES = 1 << 24
 _LARGEST_BYTES = 1 << 32
 MOST_TABLES = 100
 """Of one recording: it has no more topics that a run needs."""
-_ARRAYS_OR_BAG = (".npy", ".mcap", ".db3", ".zstd", ".yaml")
+_ARRAYS_OR_BAG = (".npy", ".mcap", ".db3", ".zstd", "metadata.yaml")
 
 
 def unpacked(source: SourceFile) -> SourceFile:

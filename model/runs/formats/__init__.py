@@ -16,6 +16,7 @@ FORMATS = [
     LogFormat("PX4 ULog", (".ulg",), ".ulog", "logs"),
     LogFormat("FIT file", (".fit",), ".fit", "logs"),
     LogFormat("JSON text", (".json", ".jsonl", ".ndjson", ".geojson"), ".json_records", text=True),
+    LogFormat("YAML text", (".yaml", ".yml"), ".yaml_documents", text=True),
     LogFormat("track in XML", (".gpx", ".tcx"), ".xml_track", text=True),
     LogFormat("lines of name=value", (".txt", ".log"), ".pairs", text=True),
     LogFormat("CSV text", (".csv", ".tsv", ".txt"), ".text", text=True),
@@ -30,5 +31,5 @@ def formats_in_words() -> str:
 
 def suffixes() -> tuple[str, ...]:
     """Return the endings of file names by which a folder is searched for logs."""
-    any_use = (".txt", ".log", ".json", ".zip", ".tar", ".tar.gz", ".tgz", ".npz", ".mat", ".nc")
+    any_use = (".txt", ".log", ".json", ".yaml", ".yml", ".zip", ".tar", ".tar.gz", ".tgz", ".npz", ".mat", ".nc")
     return tuple(suffix for each in FORMATS for suffix in each.suffixes if suffix not in any_use)

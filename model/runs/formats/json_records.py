@@ -15,9 +15,10 @@ from joulemap.model.runs.formats.contract import Log, content_of
 from joulemap.model.runs.table import LARGEST, LEAST_ROWS, LONGEST_NAME, TableLimits
 from joulemap.model.source_file import SourceFile
 
-_DEEPEST = 12
+DEEPEST = 12
+"""Setting: how many objects and lists may lie in each other."""
 _ORDERS = {"coordinates": ("lon", "lat", "alt"), **dict.fromkeys(("latlng", "latlon", "lat_lng"), ("lat", "lon"))}
-_BEGINNING = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\{|\[\s*[{\["])')
+_BEGINNING = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\{|\[\s*[{\["]|(?:[^\s{}\[\]",;]+ ){1,3}\{ ?")')
 _NAMES = ("name", "target", "key", "type", "field", "signal")
 _LONGEST_LIST = 16  # a longer list in a record is no reading
 
@@ -32,8 +33,10 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     name = source.name
     content = content_of(source).removeprefix(b"\xef\xbb\xbf")
     try:
-        found = _records(content, name, repairs)
-        return Log((stream_of(columns_of(found, name, limits), name, limits),))
+        lines = content.split(b"\n") if content.lstrip()[:1] != b"[" else []
+        if len(lines) > 1 and _whole(lines[0]):
+            return Log((stream_of(columns_of(_lines(lines, repairs), name, limits), name, limits),))
+        return log_of(json.loads(content), "JSON", name, limits)
     except (ValueError, RecursionError) as error:
         raise RunsError.of_run(name, f"not a readable JSON text: {str(error)[:200]}") from error
 
@@ -77,39 +80,41 @@ def _array(rows: int, at: list[int], values: list[Any]) -> Any:
     return pa.array(words, pa.string())
 
 
-def _records(content: bytes, name: str, repairs: dict[str, int]) -> Iterable[Mapping[str, Any]]:
-    first = content.lstrip()[:1]
-    lines = content.split(b"\n") if first == b"{" else []
-    if len(lines) > 1 and _whole(lines[0]):
-        return _lines(lines, repairs)
-    document = json.loads(content)
+def log_of(document: Any, kind: str, name: str, limits: TableLimits) -> Log:
+    """Return the longest list of records of a document."""
     best = max(_tables(document, 0), key=len, default=[])
     if len(best) < LEAST_ROWS:
-        raise RunsError.of_run(name, f"the JSON text holds no list of {LEAST_ROWS} records or more")
-    return (_flat(record) for record in best)
+        raise RunsError.of_run(name, f"the {kind} text holds no list of {LEAST_ROWS} records or more")
+    return Log((stream_of(columns_of(map(_flat, best), name, limits), name, limits),))
 
 
 def _whole(line: bytes) -> bool:
     try:
-        return isinstance(json.loads(line), dict)
+        return isinstance(json.loads(line[line.find(b"{") :]), dict)
     except ValueError:
         return False
 
 
 def _lines(lines: list[bytes], repairs: dict[str, int]) -> Iterator[dict[str, Any]]:
+    """A record of each line, with the stamp and the topic that stand before it."""
     filled = [line for line in lines if line.strip()]
     for number, line in enumerate(filled):
+        before, brace, rest = line.partition(b"{")
         try:
-            yield _flat(json.loads(line))
+            record = _flat(json.loads(brace + rest))
         except ValueError:
             if number < len(filled) - 1:
                 raise
             repairs["truncated_rows"] = 1
+            return
+        for word in before.decode("utf-8", "replace").split():
+            record.setdefault("time" if word[0].isdigit() else "topic", word)
+        yield record
 
 
 def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
     """Lists of records: of objects, of objects in objects by number, or lists of equal length side by side."""
-    if depth > _DEEPEST:
+    if depth > DEEPEST:
         return
     if isinstance(value, list):
         series = [each for item in value if isinstance(item, dict) for each in _series(item)]
@@ -184,12 +189,12 @@ def _are_words(items: list[Any]) -> bool:
 def _flat(value: Any, front: str = "", depth: int = 0) -> dict[str, Any]:
     """Numbers and texts by their path; coordinates in the order of GeoJSON."""
     if isinstance(value, list):
-        if len(value) > _LONGEST_LIST or depth > _DEEPEST:
+        if len(value) > _LONGEST_LIST or depth > DEEPEST:
             return {}
         names = next((axes for word, axes in _ORDERS.items() if f".{front}".endswith(f".{word}")), ())
         items = [(names[k] if k < len(names) else _name_of(item) or str(k), item) for k, item in enumerate(value)]
     elif isinstance(value, dict):
-        if depth > _DEEPEST:
+        if depth > DEEPEST:
             return {}
         items = [(str(key), item) for key, item in value.items()]
     else:

@@ -16,11 +16,14 @@ _PAIR = re.compile(
     r"(?:\s|\",)?([A-Za-z%/]*)(?=[\s,;)]|$)"
 )
 _STAMP = re.compile(r"^\s*(?:\[[A-Za-z]+\]\s*)?[(\[]?\s*(\d[\d.:TZ+ -]{5,40}?)\s*[)\],; ]|(?<=\s)(\d{9,19})\s*$")
+_REMARKS = 5  # lines before the first with pairs, as a board says that it starts
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the first lines: two pairs with a mark in each, or most cells in pairs, below the first line."""
-    lines = [line for line in head.decode("utf-8", "replace").split("\n")[:-1][:5] if line.strip()]
+    """Decide by the first lines after remarks: two pairs with a mark in each, or most cells in pairs, below the first."""
+    lines = [line for line in head.decode("utf-8", "replace").split("\n")[:-1] if line.strip()]
+    remarks = next((k for k, line in enumerate(lines[:_REMARKS]) if len(_PAIR.findall(line)) > 1), 0)
+    lines = lines[remarks:][:5]
     pairs = [[pair[0] for pair in _PAIR.finditer(line)] for line in lines]
     marked = [sum("=" in pair or ":" in pair for pair in found) for found in pairs]
     cells = [len(re.findall("[^,]+", line)) for line in lines]

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.formats.columns import named, stream_of
 from joulemap.model.runs.formats.contract import Log, content_of
+from joulemap.model.runs.formats.headerless import fields_of_row
 from joulemap.model.runs.names import is_unit
 from joulemap.model.runs.table import TableLimits, add_count
 from joulemap.model.source_file import SourceFile
@@ -166,8 +167,8 @@ def _header(content: bytes, name: str, limits: TableLimits) -> tuple[str, list[s
     first = _first_row(rows, values, usual)
     block = _block(rows, first)
     if not block:
-        if [_is_value(cell) for cell in rows[0]] == [True, False, True]:  # without a header
-            return separator, ["time", "name", "value"], [], b"", start
+        if names := fields_of_row(rows[0], [_is_value(cell) for cell in rows[0]]):
+            return separator, names, [], b"", start
         if first == 0 and len(rows[0]) > 2 and all(map(_NUMBER.match, filter(None, rows[0]))):
             raise RunsError.of_run(
                 name,
