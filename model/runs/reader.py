@@ -53,7 +53,7 @@ from joulemap.model.runs.mapping import CAPACITY, ROW
 from joulemap.model.runs.odometry import Odometry, with_track
 from joulemap.model.runs.reckoning import fill_by_wheels
 from joulemap.model.runs.run import Run
-from joulemap.model.runs.table import LEAST_ROWS, LIMITS, TableLimits, add_count, columns_there, spread
+from joulemap.model.runs.table import LEAST_ROWS, LIMITS, SIDES, TURNING, TableLimits, add_count, columns_there, spread
 from joulemap.model.runs.table_columns import Table
 
 FloatArray = NDArray[np.float64]
@@ -200,7 +200,7 @@ def run_of(
     x, y = fill_by_wheels(t, x, y, breaks, numbers, repairs)
     if np.isfinite(x).sum() < 2:
         raise RunsError.of_run(name, "no usable position is left after the rules for bad fixes", repairs=repairs)
-    if spread(x) == spread(y) == 0.0:
+    if not any(map(spread, (x, y, *(numbers[key] for key in (*SIDES, *TURNING, "heading") if key in numbers)))):
         raise RunsError.of_run(name, "it does not move: its position is the same in every row", column="x")
     return Run(
         name,
