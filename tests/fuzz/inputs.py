@@ -207,6 +207,24 @@ def json_logs() -> list[bytes]:
 
 
 @cache
+def yaml_logs() -> list[bytes]:
+    """Messages as `ros2 topic echo` prints them, in YAML and as rows without a header, and one list of records."""
+    stamps = [f"header:\n  stamp:\n    sec: {k // 10}\n    nanosec: {k % 10}00000000\n" for k in range(120)]
+    place = [f"pose:\n  position: {{x: {0.1 * k:.1f}, y: 0}}\n  covariance:\n  - 0.0\n  - .nan\n---\n" for k in range(120)]
+    meter = "voltage: 24.5\ncurrent: -2.0\npresent: true\nlocation: ''\ncells: [3.6, 3.7]\n---\n"
+    records = "".join(f"- t: {k}\n  speed_mps: 0.5\n  power_w: 40\n" for k in range(120))
+    rows = "".join(f"{k},0,map,{k},0,0,0,0,0,1\n" for k in range(120))
+    return [
+        "".join(head + each for head in stamps for each in (meter,)).encode(),
+        "".join(head + where + head + meter for head, where in zip(stamps, place, strict=True)).encode(),
+        f"robot: r\nsamples:\n{records}".encode(),
+        rows.encode(),
+        "".join(f'12:00:{k % 60:02d} r/s {{"speed_mps": 0.5, "power_w": {k}}}\n' for k in range(120)).encode(),
+        "t,left_rpm,right_rpm,power_w\n".encode() + "".join(f"{k},9,9,{k}\n" for k in range(120)).encode(),
+    ]
+
+
+@cache
 def xml_tracks() -> list[bytes]:
     points = "".join(
         f'<trkpt lat="{45 + 1e-5 * k:.6f}" lon="-4.1"><ele>5</ele><time>2025-03-29T23:58:{k % 60:02d}Z</time>'
@@ -263,7 +281,7 @@ def _robot(content: bytes, rng: Rng) -> None:
     json.dumps(Robot.from_toml(place).as_dict(), allow_nan=False)
 
 
-RUNS = ("csv", "parquet", "json", "gpx", "wheel_csv", "mapped_csv", *recordings.WRITERS)
+RUNS = ("csv", "parquet", "json", "gpx", "yaml", "wheel_csv", "mapped_csv", *recordings.WRITERS)
 """Readers of runs; the others read maps, robots and paths."""
 
 READERS: dict[str, tuple[Callable[[], list[bytes]], bool, Callable[[bytes, Rng], None]]] = {
@@ -276,6 +294,7 @@ READERS: dict[str, tuple[Callable[[], list[bytes]], bool, Callable[[bytes, Rng],
     "parquet": (parquet_logs, False, _run),
     "json": (json_logs, True, _run),
     "gpx": (xml_tracks, True, _run),
+    "yaml": (yaml_logs, True, _run),
     "wheel_csv": (wheel_logs, True, _travel),
     "robot": (robots, True, _robot),
     "path": (paths.paths, True, paths.read),
