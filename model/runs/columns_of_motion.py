@@ -193,8 +193,8 @@ def take_wheels(
     if numbers.keys() >= {*TURNING} and not numbers.keys() & {*SIDES}:
         if radius is None:
             found.questions["speed"] = (
-                f"{' and '.join(columns[key][:60] for key in TURNING)} say how fast its wheels turn: say how large they "
-                f"are with a mapping, such as {RADIUS}=0.165 for a radius of 0.165 m"
+                f"{' and '.join(columns[key][:60] for key in TURNING)} say how fast its wheels turn: say how large "
+                f"they are with a mapping, such as {RADIUS}=0.165 for a radius of 0.165 m"
             )
             return
         for side, turning in zip(SIDES, TURNING, strict=True):

@@ -31,8 +31,8 @@ MappingLike = Mapping[str, str] | Sequence[str] | str | Path
 """A dict, texts such as `current=batt_current_mA:mA`, or the name of a TOML file."""
 
 CAPACITY, RADIUS, ROW = CONSTANTS = ("capacity_wh", "wheel_radius_m", "row_s")
-"""Said as numbers: what the battery holds [Wh], with which a state of charge is an energy; how large a wheel is [m], with
-which its turning is a way; how long a row of a log without a time lasts [s]."""
+"""Said as numbers: what the battery holds [Wh], with which a state of charge is an energy; how large a wheel is [m],
+with which its turning is a way; how long a row of a log without a time lasts [s]."""
 
 SIGNS = {"+": 1, "-": -1}
 """Before the name of a column; of a power or a current it says which sign discharges."""

@@ -248,7 +248,8 @@ def _whole(words: Collection[str]) -> int:
 
 def is_unit(word: str) -> bool:
     """Return whether a word, or a number, is a unit of some quantity."""
-    return any(known_unit(target, word) is not None for target in ("t", "x", "lat", "temperature", "payload", "wheel_left_rad_s", *_WORDS))
+    others = ("t", "x", "lat", "temperature", "payload", "wheel_left_rad_s")
+    return any(known_unit(target, word) is not None for target in (*others, *_WORDS))
 
 
 @lru_cache(maxsize=20_000)

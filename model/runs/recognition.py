@@ -86,8 +86,8 @@ def _choose_speeds(stream: Stream, mapping: Mapping[str, str], found: Recognised
         both = "+".join(next(column[:60] for column in ticks if side_of(column) == side) for side in ("left", "right"))
         found.questions.setdefault(
             "distance",
-            f"how far does it roll in half a tick of {both}? Say it in metres with a mapping, pi times the radius of a wheel "
-            f"over the ticks of a turn, such as distance={both}:0.00015",
+            f"how far does it roll in half a tick of {both}? Say it in metres with a mapping, pi times the radius of a "
+            f"wheel over the ticks of a turn, such as distance={both}:0.00015",
         )
     _choose("speed", stream, found, least=NAMED if placed else POSSIBLE)
 

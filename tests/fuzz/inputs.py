@@ -210,7 +210,7 @@ def json_logs() -> list[bytes]:
 def yaml_logs() -> list[bytes]:
     """Messages as `ros2 topic echo` prints them, in YAML and as rows without a header, and one list of records."""
     stamps = [f"header:\n  stamp:\n    sec: {k // 10}\n    nanosec: {k % 10}00000000\n" for k in range(120)]
-    place = [f"pose:\n  position: {{x: {0.1 * k:.1f}, y: 0}}\n  covariance:\n  - 0.0\n  - .nan\n---\n" for k in range(120)]
+    place = [f"pose:\n  position: {{x: {0.1 * k:.1f}, y: 0}}\n  cov:\n  - 0.0\n  - .nan\n---\n" for k in range(120)]
     meter = "voltage: 24.5\ncurrent: -2.0\npresent: true\nlocation: ''\ncells: [3.6, 3.7]\n---\n"
     records = "".join(f"- t: {k}\n  speed_mps: 0.5\n  power_w: 40\n" for k in range(120))
     rows = "".join(f"{k},0,map,{k},0,0,0,0,0,1\n" for k in range(120))
@@ -220,7 +220,7 @@ def yaml_logs() -> list[bytes]:
         f"robot: r\nsamples:\n{records}".encode(),
         rows.encode(),
         "".join(f'12:00:{k % 60:02d} r/s {{"speed_mps": 0.5, "power_w": {k}}}\n' for k in range(120)).encode(),
-        "t,left_rpm,right_rpm,power_w\n".encode() + "".join(f"{k},9,9,{k}\n" for k in range(120)).encode(),
+        b"t,left_rpm,right_rpm,power_w\n" + "".join(f"{k},9,9,{k}\n" for k in range(120)).encode(),
     ]
 
 

@@ -1,4 +1,4 @@
-"""Messages as ROS prints them, wheels that turn, and logs without a time or without movement, by `jm.read_runs` and `joulemap import`."""
+"""Messages as ROS prints them, wheels that turn, logs without a time or without movement."""
 
 import json
 import math
@@ -26,9 +26,7 @@ def integral(values):
 
 METRES, JOULES = integral(SPEED), integral(VOLTS * AMPS)
 FAR = np.append(0.0, np.cumsum(0.5 * (SPEED[1:] + SPEED[:-1]) * np.diff(T)))
-X, Y = (
-    np.append(0.0, np.cumsum(np.diff(FAR) * way(0.5 * (HEADING[1:] + HEADING[:-1])))) for way in (np.cos, np.sin)
-)
+X, Y = (np.append(0.0, np.cumsum(np.diff(FAR) * way(0.5 * (HEADING[1:] + HEADING[:-1])))) for way in (np.cos, np.sin))
 RADIUS, TRACK, TICKS = 0.165, 0.5, 4096
 LEFT, RIGHT = SPEED - TURN * TRACK / 2, SPEED + TURN * TRACK / 2
 
@@ -130,13 +128,15 @@ def test_topics_that_ros_prints_as_rows_without_a_header_are_one_log(tmp_path):
 
 
 def test_a_yaml_document_with_a_list_of_records(tmp_path):
-    records = "".join(f"- time: {t}\n  speed_mps: {v}\n  power_w: {p}\n" for t, v, p in zip(T, SPEED, VOLTS * AMPS))
+    records = "".join(
+        f"- time: {t}\n  speed_mps: {v}\n  power_w: {p}\n" for t, v, p in zip(T, SPEED, VOLTS * AMPS, strict=True)
+    )
     as_it_was(read(tmp_path, "samples.yaml", f"robot: r7\nsamples:\n{records}"))
 
 
 def test_json_behind_a_stamp_and_a_topic_and_lines_with_units_after_remarks(tmp_path):
     lines = "".join(
-        f"{1700000000 + t:.3f} rover/state " + json.dumps({"speed_mps": v, "battery": {"volt_V": u, "curr_A": i}}) + "\n"
+        f"{1700000000 + t:.3f} rover/state {json.dumps({'speed_mps': v, 'battery': {'volt_V': u, 'curr_A': i}})}\n"
         for t, v, u, i in zip(T, SPEED, VOLTS, AMPS, strict=True)
     )
     as_it_was(read(tmp_path, "mosquitto.txt", lines))

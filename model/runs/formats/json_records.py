@@ -72,7 +72,7 @@ def _array(rows: int, at: list[int], values: list[Any]) -> Any:
 
     if all(value is None or (isinstance(value, int | float) and not isinstance(value, bool)) for value in values):
         numbers = np.full(rows, np.nan)
-        numbers[at] = [np.nan if value is None else min(max(float(value), -LARGEST), LARGEST) for value in values]
+        numbers[at] = [np.nan if value is None else float(min(max(value, -LARGEST), LARGEST)) for value in values]
         return pa.array(numbers)
     words: list[str | None] = [None] * rows
     for row, value in zip(at, values, strict=True):

@@ -20,7 +20,7 @@ _REMARKS = 5  # lines before the first with pairs, as a board says that it start
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the first lines after remarks: two pairs with a mark in each, or most cells in pairs, below the first."""
+    """Decide by the first lines after remarks: two pairs with a mark in each, or most cells in pairs."""
     lines = [line for line in head.decode("utf-8", "replace").split("\n")[:-1] if line.strip()]
     remarks = next((k for k, line in enumerate(lines[:_REMARKS]) if len(_PAIR.findall(line)) > 1), 0)
     lines = lines[remarks:][:5]

@@ -15,6 +15,7 @@ from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
 
 _KEY = re.compile(r"""(["']?)([A-Za-z_/][\w ./-]{0,100})\1:(?: +(.*))?$""")
+_BARE_KEY = re.compile(r"([{,] *)(\w+):")
 _COMMENT = re.compile(r"\s*(#.*)?$")
 _WORDS = {"true": True, "false": False, "null": None, "~": None, "": None, ".nan": None, "''": "", '""': ""}
 _LONGEST_INTEGER = 20  # digits
@@ -59,7 +60,8 @@ def _block(lines: Sequence[tuple[int, str, str]], at: int, depth: int, name: str
     while at < len(lines) and lines[at][0] >= indentation and (not lines[at][1]) == listed:
         here, key, word = lines[at]
         at, value = at + 1, _value(word)
-        if not word and at < len(lines) and (lines[at][0] > here or (lines[at][0] == here and key and not lines[at][1])):
+        after = lines[at][:2] if at < len(lines) else (-1, "")
+        if not word and (after[0] > here or (key and after == (here, ""))):
             value, at = _block(lines, at, depth + 1, name)
         items.append(value)
         fields[key] = value
@@ -70,7 +72,9 @@ def _value(word: str) -> Any:
     if word.lower() in _WORDS:
         return _WORDS[word.lower()]
     with suppress(ValueError, RecursionError):
-        return json.loads(word) if word[0] in "[{\"" else int(word) if len(word) < _LONGEST_INTEGER else float(word)
+        if word[0] in '[{"':  # `{x: .nan, y: 0.5}`
+            return json.loads(_BARE_KEY.sub(r'\1"\2":', word.replace(".nan", "NaN")))
+        return int(word) if len(word) < _LONGEST_INTEGER else float(word)
     with suppress(ValueError):
         return float(word)
     return word.strip("'\"")
