@@ -188,31 +188,42 @@ def without_frozen_positions(numbers: dict[str, FloatArray], found: Recognised) 
 def take_wheels(
     numbers: dict[str, FloatArray], reading: dict[str, str], radius: Source | None, found: Recognised
 ) -> None:
-    """The speed of a vehicle as the mean of its sides, which are radius times rate where wheels turn [rad/s]."""
-    columns = {key: found.chosen[key].columns[0] for key in (*SIDES, *TURNING) if key in found.chosen}
-    if numbers.keys() >= {*TURNING} and not numbers.keys() & {*SIDES}:
-        if radius is None:
-            found.questions["speed"] = (
-                f"{' and '.join(columns[key][:60] for key in TURNING)} say how fast its wheels turn: say how large "
-                f"they are with a mapping, such as {RADIUS}=0.165 for a radius of 0.165 m"
-            )
-            return
-        for side, turning in zip(SIDES, TURNING, strict=True):
-            numbers[side] = float(radius.unit) * numbers[turning]
-            reading[side] = f"{reading.get(turning, turning)} x {radius.unit} m"
-    if numbers.keys() >= {*SIDES} and not numbers.keys() & {"speed", "distance"}:
-        unsaid = [key for key in SIDES if key in columns and not found.chosen[key].unit and columns[key] != key]
-        if not unsaid:
-            numbers["speed"] = (numbers[SIDES[0]] + numbers[SIDES[1]]) / 2
-            reading["speed"] = f"the mean of {' and '.join(reading.get(key, key) for key in SIDES)}"
+    """The speed of a vehicle without a position: the mean of its sides, if they turn [rad/s] times the radius."""
+    sides = next((pair for pair in (SIDES, TURNING) if numbers.keys() >= {*pair}), None)
+    if sides is None or _placed(numbers) or numbers.keys() & {"speed", "distance"}:
+        return
+    columns = [found.chosen[key].columns[0][:60] for key in sides]
+    unsaid = any(found.chosen[key].columns != [key] and not found.chosen[key].unit for key in sides)
+    if sides == TURNING and radius is None:
+        found.questions["speed"] = (
+            f"{' and '.join(columns)} say how fast its wheels turn: say how large they are with a mapping, such as "
+            f"{RADIUS}=0.165 for a radius of 0.165 m"
+        )
+    elif np.nansum(np.sign(numbers[sides[0]] * numbers[sides[1]])) < 0:
+        found.questions["speed"] = (
+            f"{' and '.join(columns)} are of opposite signs most of the time: if the wheels are mounted so, say so "
+            f"with a mapping, such as {sides[1]}=-{columns[1]}"
+        )
+    elif sides == TURNING or not unsaid:
+        factor = float(radius.unit) if radius is not None and sides == TURNING else 1.0
+        numbers["speed"] = factor * (numbers[sides[0]] + numbers[sides[1]]) / 2
+        of = f"{factor:g} m x " if sides == TURNING else ""
+        reading["speed"] = f"{of}the mean of {' and '.join(reading.get(key, key) for key in sides)}"
+
+
+def _placed(numbers: Mapping[str, FloatArray]) -> bool:
+    return {"x", "y"} <= numbers.keys() or {"lat", "lon"} <= numbers.keys()
 
 
 def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found: Recognised, name: str) -> None:
     """The distance, counted or from the speed, where there is no position."""
     speed = numbers.get("speed")
     made = None if speed is None or "t" not in numbers else summed(numbers["t"], speed)
-    placed = {"x", "y"} <= numbers.keys() or {"lat", "lon"} <= numbers.keys()
-    if placed or "t" not in numbers or (numbers.keys() >= {*SIDES} and not numbers.keys() & {"speed", "distance"}):
+    if (
+        _placed(numbers)
+        or "t" not in numbers
+        or (numbers.keys() >= {*SIDES} and not numbers.keys() & {"speed", "distance"})
+    ):
         numbers.pop("distance", None)
         reading.pop("distance", None)
         return

@@ -37,8 +37,8 @@ def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> 
     if "lat" not in numbers or "lon" not in numbers:
         wheels = {"speed_left", "speed_right"} <= numbers.keys()
         hint = (
-            "say the unit of its wheel speeds with a mapping, like speed_left=velL:m/s,speed_right=velR:m/s; "
-            "`odometry` with the track in metres integrates them to a way"
+            "say the unit of its wheel speeds, and which counts backward, with a mapping, like speed_left=velL:m/s,"
+            "speed_right=-velR:m/s; `odometry` with the track in metres integrates them to a way"
             if wheels
             else "a mapping says which they are, like lat=latitude,lon=longitude"
         )

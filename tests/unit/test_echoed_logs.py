@@ -156,7 +156,7 @@ def test_the_speed_of_a_vehicle_is_the_mean_of_its_sides(tmp_path):
     slip = table(t=T, speed_left=2 * LEFT, speed_right=2 * RIGHT, radar_mps=SPEED, **power)
     as_it_was(read(tmp_path, "slip.csv", slip, "speed=radar_mps:m/s"))  # what is said wins
     unsaid = read(tmp_path, "unsaid.csv", table(t=T, velL=LEFT, velR=RIGHT, **power))
-    refused(unsaid, "say the unit of its wheel speeds with a mapping, like speed_left=velL:m/s")
+    refused(unsaid, "say the unit of its wheel speeds", "like speed_left=velL:m/s")
 
 
 @pytest.mark.parametrize(
@@ -172,6 +172,15 @@ def test_wheels_that_turn_need_their_radius(tmp_path, left, right, unit):
     text = table(t=T, **{left: unit * LEFT / RADIUS, right: unit * RIGHT / RADIUS}, power_w=VOLTS * AMPS)
     refused(read(tmp_path, "turn.csv", text), "say how fast its wheels turn", "wheel_radius_m=0.165")
     as_it_was(read(tmp_path, "turn.csv", text, f"wheel_radius_m={RADIUS}"))
+
+
+def test_wheels_that_are_mounted_the_other_way_round_need_their_sign(tmp_path):
+    text = table(t=T, left_wheel_mps=LEFT, right_wheel_mps=-RIGHT, power_w=VOLTS * AMPS)
+    refused(read(tmp_path, "signs.csv", text), "which counts backward", "speed_right=-velR:m/s")
+    as_it_was(read(tmp_path, "signs.csv", text, "speed_left=left_wheel_mps", "speed_right=-right_wheel_mps"))
+    text = table(t=T, left_wheel_rpm=LEFT, right_wheel_rpm=-RIGHT, power_w=VOLTS * AMPS)
+    said = read(tmp_path, "signs.csv", text, "wheel_radius_m=0.1")
+    refused(said, "of opposite signs", "such as wheel_right_rad_s=-right_wheel_rpm")
 
 
 def test_ticks_of_wheels_need_the_way_of_a_tick(tmp_path):
