@@ -15,8 +15,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.runs.headings import Velocity
+from joulemap.model.runs.reckoning import WHEELS
 from joulemap.model.runs.run import Run
 from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
+from joulemap.model.runs.table import TURNING
 from joulemap.model.runs.track import integral
 
 FloatArray = NDArray[np.float64]
@@ -42,14 +44,7 @@ _RIM_M = 0.5  # half the width of a robot of 1 m: turning moves its side so far 
 _WHEEL_RADIUS_M = 0.2  # of a wheel whose rate is logged in rad/s, to tell rolling from standing only
 _NOISES = 4.0  # a stationary position wanders by up to so many standard deviations, as in 99.99 % of a normal one
 _HEADINGS = ("heading", "yaw")  # [deg]
-_WHEELS = {
-    "speed_left": 1.0,
-    "speed_right": 1.0,
-    "velL": 1.0,
-    "velR": 1.0,
-    "wheel_left_rad_s": _WHEEL_RADIUS_M,
-    "wheel_right_rad_s": _WHEEL_RADIUS_M,
-}
+_WHEELS = {key: _WHEEL_RADIUS_M if key in TURNING else 1.0 for pair in WHEELS for key in pair}
 """Columns that say how fast a side rolls -> metres per unit."""
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from joulemap.model.runs.table import FloatArray, TextArray
 
 _PAUSE_PERIODS, _PAUSE_S = 5.0, 2.0  # no interpolation over more than five usual steps, and 2 s at least
-_SPARSE = 0.5  # a column that is known in fewer rows is a series of its own
+_SPARSE = 0.5  # a column that is known in no more rows is a series of its own
 _NEEDED = ("x", "y", "lat", "lon", "distance", "speed", "voltage", "current", "power", "energy", "charge", "soc")
 _HELD = ("speed", "voltage", "current", "power", "soc")  # a counter and a position change evenly instead
 _MOST_FILLED = 1e6  # rows of a log of changes, as of eleven days with one a second
@@ -31,7 +31,7 @@ def aligned(
     if _of_changes(t, [every[key] for key in held]):
         return _filled(numbers, rest, texts, held)
     known = {key: np.isfinite(every[key]) & np.isfinite(numbers["t"]) for key in needed}
-    if not known or float(np.logical_and.reduce([*known.values()]).mean()) >= _SPARSE:
+    if not known or float(np.logical_and.reduce([*known.values()]).mean()) > _SPARSE:
         return numbers, rest, texts
     rows = max(known.values(), key=np.sum)
     at = t[rows]

@@ -100,7 +100,8 @@ _NOT: dict[str, frozenset[str]] = {
 }
 SIDES: Mapping[str, str] = {
     "left": "left", "l": "left", "right": "right", "r": "right", "fl": "fl", "fr": "fr", "rl": "rl", "rr": "rr",
-    "front": "front", "rear": "rear", "back": "rear",
+    "front": "front", "rear": "rear", "back": "rear", "links": "left", "gauche": "left", "izquierda": "left",
+    "sinistra": "left", "rechts": "right", "droite": "right", "derecha": "right", "destra": "right",
 }  # fmt: skip
 """Words for a part of the vehicle."""
 _PER_WAY = re.compile(r"(?i)h ?/ ?\d* ?(km|mi|m)\b")  # of an energy: a consumption, and no counter
@@ -108,8 +109,9 @@ _BY_UNIT = ("voltage", "current", "power", "soc")  # of which the unit of a batt
 _MEANS = (["avg"], ["average"], ["mean"])
 _WHEEL = _set("wheel wheels")
 _JOINT = _set("joint joints")
-_ROLLING = _set("wheel wheels track motor encoder angular drive state states") | _JOINT
-_OF_SIDE = {word: side for side in ("left", "right") for word in (side, side[0], f"f{side[0]}", f"r{side[0]}")}
+_ROLLING = _set("wheel wheels track motor encoder angular drive state states drehzahl rad roue rueda ruota") | _JOINT
+_OF_SIDE = {"fl": "left", "rl": "left", "fr": "right", "rr": "right"}
+_OF_SIDE |= {word: side for word, side in SIDES.items() if side in ("left", "right")}
 _TOTAL = _set("total tot sum setup overall all")
 _BATTERY = _set("battery batt bat pack")
 _VOCABULARY = frozenset().union(*_WORDS.values(), _OTHER_QUANTITIES, _ABOUT, _NEVER, _ELECTRIC, SIDES)

@@ -18,7 +18,8 @@ from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.ranges import TRACK_M
 from joulemap.model.runs.arcs import rows_missing
-from joulemap.model.runs.rolling import rolled_between, without_blanks
+from joulemap.model.runs.reckoning import without_blanks
+from joulemap.model.runs.rolling import rolled_between
 from joulemap.model.runs.run import Run
 from joulemap.model.runs.table import SIDES, columns_there
 from joulemap.model.terrain.heightmap import Heightmap

@@ -29,13 +29,18 @@ def sides_of(columns: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]
     """
     for pair in WHEELS:
         if all(key in columns and np.isfinite(columns[key]).mean() >= 0.8 for key in pair):
-            return _without_blanks(columns[pair[0]]), _without_blanks(columns[pair[1]])
+            return without_blanks(columns[pair[0]]), without_blanks(columns[pair[1]])
     return None
 
 
-def _without_blanks(values: FloatArray) -> FloatArray:
-    rows, known = np.arange(values.size), np.isfinite(values)
-    return np.interp(rows, rows[known], values[known])
+def without_blanks(values: FloatArray) -> FloatArray:
+    """Return values with blanks filled on straight lines.
+
+    `values` (n,): NaN where there is none. The result is (n,).
+    """
+    known = np.isfinite(values)
+    rows = np.arange(values.size)
+    return np.interp(rows, rows[known], values[known]) if known.any() else np.zeros(values.size)
 
 
 def fill_by_wheels(

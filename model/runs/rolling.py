@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.runs.arcs import STILL_M, STOP_S, equal_parts, rows_missing, station_at, stops_of
+from joulemap.model.runs.reckoning import without_blanks
 from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.smoothing import smooth
@@ -16,16 +17,6 @@ FloatArray = NDArray[np.float64]
 HEADING_SMOOTHING_S = 0.8
 """Setting: headings from wheel speeds are smoothed over so long before turns are measured: jitter is no turning, but it
 adds up. Chosen on a Husky: without it left-out runs err by 2 % more; from 0.7 to 1 s they err alike."""
-
-
-def without_blanks(values: FloatArray) -> FloatArray:
-    """Return values with blanks filled on straight lines.
-
-    `values` (n,): NaN where there is none. The result is (n,).
-    """
-    known = np.isfinite(values)
-    rows = np.arange(values.size)
-    return np.interp(rows, rows[known], values[known]) if known.any() else np.zeros(values.size)
 
 
 def rolled_between(t: FloatArray, sides: FloatArray) -> FloatArray:

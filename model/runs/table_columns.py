@@ -56,7 +56,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
         rows = len(next(iter((*stream.numbers.values(), *stream.texts.values())), ()))
         lasts = float(source_of(ROW, mapping[ROW], (), name).unit)
         units = {key: unit for key, unit in stream.units.items() if key != "t"}
-        stream = replace(stream, numbers=stream.numbers | {"t": lasts * np.arange(rows)}, units=units)
+        stream = replace(stream, numbers=stream.numbers | {"t": lasts * np.arange(rows, dtype=np.float64)}, units=units)
     found = recognised(stream, mapping, name)
     chosen = found.chosen
     said = {key: chosen.pop(key) for key in CONSTANTS if key in chosen and not chosen[key].parts}

@@ -86,7 +86,7 @@ _SPELLINGS = {
         "W": "watt watts",
         "J": "joule joules",
         "%": "percent pct",
-        "m/s": "mps m_s m/sec meters/second m.s-1",
+        "m/s": "ms mps m_s m/sec meters/second m.s-1",
         "km/h": "kmh kmph kph km_h km/hr",
         "mph": "mi/h miles/hour",
         "kn": "knots",

@@ -141,6 +141,12 @@ def test_json_behind_a_stamp_and_a_topic_and_lines_with_units_after_remarks(tmp_
     )
     as_it_was(read(tmp_path, "mosquitto.txt", lines))
     lines = "".join(
+        f"{1.7e12 + 1000 * t:.0f},rover/{n},{w}\n"
+        for t, v, p in zip(T, SPEED, VOLTS * AMPS, strict=True)
+        for n, w in (("speed_ms", v), ("power_w", p))
+    )
+    as_it_was(read(tmp_path, "topics.csv", f"timestamp,topic,payload\n{lines}"))
+    lines = "".join(
         f"t={1000 * t:.0f}ms v={v:.5f}m/s U={u:.4f}V I={i:.4f}A\n"
         for t, v, u, i in zip(T, SPEED, VOLTS, AMPS, strict=True)
     )
@@ -165,6 +171,7 @@ def test_the_speed_of_a_vehicle_is_the_mean_of_its_sides(tmp_path):
         ("wheel_left_velocity_rad_s", "wheel_right_velocity_rad_s", 1.0),
         ("Left__wheel__(rpm)", "Right__wheel__(rpm)", 60 / math.tau),
         ("left_rpm", "right_rpm", 60 / math.tau),
+        ("Drehzahl__links__[U/min]", "Drehzahl__rechts__[U/min]", 60 / math.tau),
         ("/joint_states/front_left_wheel_joint/velocity", "/joint_states/front_right_wheel_joint/velocity", 1.0),
     ],
 )
