@@ -146,6 +146,8 @@ def test_json_behind_a_stamp_and_a_topic_and_lines_with_units_after_remarks(tmp_
         for n, w in (("speed_ms", v), ("power_w", p))
     )
     as_it_was(read(tmp_path, "topics.csv", f"timestamp,topic,payload\n{lines}"))
+    other = lines.replace("speed_ms", "mood")
+    refused(read(tmp_path, "other.csv", f"timestamp,topic,payload\n{other}"), "nor a speed or a distance")
     lines = "".join(
         f"t={1000 * t:.0f}ms v={v:.5f}m/s U={u:.4f}V I={i:.4f}A\n"
         for t, v, u, i in zip(T, SPEED, VOLTS, AMPS, strict=True)
