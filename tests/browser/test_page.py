@@ -23,7 +23,10 @@ SAMPLE_ENDS = [[22, 96], [178, 104]]
 
 @pytest.fixture(scope="module")
 def sample(browser: Any, address: str) -> str:
-    """The link to the sample with its route, as somebody gets it who clicks on the sample and does nothing else."""
+    """The link to the sample with its route, as somebody gets it who clicks on the sample and does nothing else.
+
+    It leads to a cost map of cells of 2 m, which is asked four times as fast.
+    """
     with opened(browser, address) as tab:
         tab.page.click("#sample")
         tab.drawn()
@@ -31,7 +34,10 @@ def sample(browser: Any, address: str) -> str:
         assert re.search(r"saves [\d.,]+ Wh \(\d", tab.text("#answer"))
         assert float(tab.text("#answer tbody tr:first-child").split("%")[0].split()[-1]) > 20.0  # of the battery
         tab.page.wait_for_function("() => location.hash.includes('to=')")
-        return tab.page.evaluate("location.hash")
+        link, made = tab.page.evaluate("[location.hash, joulemap.now.costmap]")
+    wish = {"heightmap_id": made["heightmap_id"], "spacing_m": 2.0}
+    coarse = httpx.post(f"{address}/v1/costmaps", json=wish, headers={"Prefer": "wait=300"}, timeout=310.0).json()
+    return link.replace(made["id"], coarse["id"])
 
 
 def ends(tab: Any) -> list[Any]:

@@ -24,7 +24,7 @@ LOOKED_AT = {"route": ROUTE, "reach": ("reach",), "homeward": ("homeward",)}
 
 @pytest.fixture(scope="module")
 def maps(address: str) -> list[str]:
-    """Two cost maps of the sample, with different robots."""
+    """Two cost maps of the sample, with different robots; of cells of 2 m, which are asked four times as fast."""
     with httpx.Client(base_url=address, timeout=400.0) as client:
         while client.get("/readyz").status_code != 200:
             time.sleep(0.2)
@@ -32,7 +32,7 @@ def maps(address: str) -> list[str]:
         kept = client.post("/v1/heightmaps", content=ground, params={"name": "sample"}).json()["id"]
         found = []
         for robot in ({}, {"mass_kg": 70.0, "battery_wh": 400.0}):
-            wish = {"heightmap_id": kept, "model": "physics", "robot": robot}
+            wish = {"heightmap_id": kept, "model": "physics", "robot": robot, "spacing_m": 2.0}
             made = client.post("/v1/costmaps", json=wish, headers={"Prefer": "wait=300"}).json()
             assert made["status"] == "done", made
             found.append(made["id"])

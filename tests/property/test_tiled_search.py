@@ -17,7 +17,7 @@ from joulemap.planner.pricing.move_prices import MovePrices
 from joulemap.planner.pricing.moves import distance_table, move_table, with_margin
 from tests.reference.lattices import random_lattice
 
-SHAPE = (77, 85)
+SHAPE = (45, 53)
 
 
 def walled(lattice, rng):

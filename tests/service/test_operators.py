@@ -111,30 +111,34 @@ def _sql(folder: Path, *statements: str) -> None:
 
 
 BROKEN = {
-    "text that is no JSON": "update heightmaps set stats = '{' where name = 'broken'",
-    "text that is no UTF-8": "update heightmaps set stats = cast(x'7b22ff' as text) where name = 'broken'",
-    "no time": "update heightmaps set created_at = 'yesterday' where name = 'broken'",
-    "another kind": "update heightmaps set stats = '[1]' where name = 'broken'",
+    "text that is no JSON": "stats = '{'",
+    "text that is no UTF-8": "stats = cast(x'7b22ff' as text)",
+    "no time": "created_at = 'yesterday'",
+    "another kind": "stats = '[1]'",
 }
 
 
-@pytest.mark.parametrize("damage", BROKEN)
-def test_one_broken_row_does_not_break_the_list(tmp_path: Path, hill_tif: bytes, damage: str) -> None:
+def test_broken_rows_do_not_break_the_list(tmp_path: Path, hill_tif: bytes) -> None:
     with TestClient(create_app(settings_for(tmp_path / "data", workers=0)), raise_server_exceptions=False) as client:
         ids = {
             name: client.post("/v1/heightmaps", files={"file": (name, hill_tif)}, data={"name": name}).json()["id"]
-            for name in ("whole", "broken")
+            for name in ("whole", *BROKEN)
         }
-        _sql(tmp_path / "data", BROKEN[damage])
+        _sql(
+            tmp_path / "data",
+            *(f"update heightmaps set {change} where name = '{name}'" for name, change in BROKEN.items()),
+        )
         listed = client.get("/v1/heightmaps")
         assert listed.status_code == 200, listed.text
         found = {one["id"]: one for one in listed.json()["items"]}
         assert found[ids["whole"]]["name"] == "whole"
-        assert "cannot be shown" in found[ids["broken"]]["problem"]["detail"]
-        one = client.get(f"/v1/heightmaps/{ids['broken']}")
-        assert (one.status_code, one.json()["code"]) == (409, "conflict")
+        for damage in BROKEN:
+            assert "cannot be shown" in found[ids[damage]]["problem"]["detail"], damage
+            one = client.get(f"/v1/heightmaps/{ids[damage]}")
+            assert (one.status_code, one.json()["code"]) == (409, "conflict"), damage
         client.app.state.service.retention.sweep()  # type: ignore[attr-defined]
-        assert client.delete(f"/v1/heightmaps/{ids['broken']}").status_code == 204
+        for damage in BROKEN:
+            assert client.delete(f"/v1/heightmaps/{ids[damage]}").status_code == 204
         assert client.get("/v1/heightmaps").json()["total"] == 1
 
 
