@@ -45,6 +45,11 @@ def calibrate(field, out, *more, quick=True):
     return runner.invoke(app, ["calibrate", *map(str, [*options, "--runs", field, "--out", out, *more])])
 
 
+def evaluate(field, out, runs, told):
+    words = f"evaluate --model {out}/model --heightmap {field}/dem.tif --robot {field}/robot.toml --runs {runs}"
+    return runner.invoke(app, [*words.split(), "--json", str(told)])
+
+
 def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, tmp_path):
     done = calibrate(field, tmp_path, "--json", str(tmp_path / "answer.json"), quick=False)
     assert done.exit_code == 0, done.output
@@ -68,15 +73,8 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
     assert '<meta name="viewport"' in page
     assert [match[0] for match in PRIVATE.finditer(shown(page))] == []
     assert [match[0] for match in PRIVATE.finditer(done.output)] == []
-    for heading in (
-        "Base parameters",
-        "Ranges of these runs",
-        "Track used",
-        "Change of the cost map",
-        "What to drive next",
-        "All candidate effects",
-        "read from the logs",
-    ):
+    headings = "Base parameters|Ranges of these runs|Track used|Change of the cost map|What to drive next"
+    for heading in f"{headings}|All candidate effects|read from the logs".split("|"):
         assert f"{heading}</h2>" in page
     assert {"points", "why_not"} & set(report["next_drive"])
     said = done.output
@@ -97,22 +95,7 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
     step = next(line.strip() for line in said.splitlines() if line.strip().startswith("joulemap costmap"))
     made = runner.invoke(app, [*shlex.split(step)[1:], "--spacing", "4", "--headings", "8"])  # as it says
     assert made.exit_code == 0, made.output
-    done = runner.invoke(
-        app,
-        [
-            "evaluate",
-            "--model",
-            str(tmp_path / "model"),
-            "--heightmap",
-            str(field / "dem.tif"),
-            "--robot",
-            str(field / "robot.toml"),
-            "--runs",
-            str(field),
-            "--json",
-            str(tmp_path / "again.json"),
-        ],
-    )
+    done = evaluate(field, tmp_path, field, tmp_path / "again.json")
     assert done.exit_code == 0, done.output
     again = json.loads((tmp_path / "again.json").read_text())
     assert again["model"] == f"{tmp_path.name}/model"
@@ -200,22 +183,7 @@ def test_test_runs_are_judged_by_and_nothing_else(field, tmp_path):
     assert "Errors on one test run that had no part in the calibration" in (tmp_path / "report.html").read_text()
     # another way of stating the model's answer gives the same number
     told = tmp_path / "again.json"
-    done = runner.invoke(
-        app,
-        [
-            "evaluate",
-            "--model",
-            str(tmp_path / "model"),
-            "--heightmap",
-            str(field / "dem.tif"),
-            "--robot",
-            str(field / "robot.toml"),
-            "--runs",
-            str(field / "run_02.csv"),
-            "--json",
-            str(told),
-        ],
-    )
+    done = evaluate(field, tmp_path, field / "run_02.csv", told)
     assert done.exit_code == 0, done.output
     assert json.loads(told.read_text())["mean_relative_error"] == pytest.approx(error["after"]["mean_relative"], 0.15)
 
@@ -416,22 +384,13 @@ def test_whole_campaigns_are_left_out_when_asked(field, tmp_path, monkeypatch):
     runs.mkdir()
     for number, name in enumerate(("june_1", "june_2", "may_1", "may_2"), 1):
         (runs / f"{name}.csv").write_text((field / f"run_0{number}.csv").read_text())
-    options = [
-        "--model",
-        "physics",
-        "--heightmap",
-        field / "dem.tif",
-        "--out",
-        tmp_path / "out",
-        "--campaigns",
-        "--runs",
-    ]
-    done = runner.invoke(app, ["calibrate", *map(str, [*options, runs])])
+    options = f"--model physics --heightmap {field}/dem.tif --out {tmp_path}/out --campaigns --runs".split()
+    done = runner.invoke(app, ["calibrate", *options, str(runs)])
     assert "enough" in done.output
     assert (asked["groups"], asked["cross_validate"]) == (["june", "june", "may", "may"], True)
     calibrate(field, tmp_path / "out")
     assert (asked["groups"], asked["cross_validate"]) == (None, False)
-    done = runner.invoke(app, ["calibrate", *map(str, [*options, field])])
+    done = runner.invoke(app, ["calibrate", *options, str(field)])
     assert done.exit_code == 3
     assert "all 4 runs belong to the campaign 'run'" in done.output
 

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from typer.main import get_command
-from typer.testing import CliRunner
 
 from joulemap.model.errors import JoulemapError
 from joulemap.model.frames import GridFrame
@@ -27,6 +26,7 @@ from joulemap.service.commands.arguments import RENAMED, one_value_each
 from joulemap.service.commands.console import Output
 from joulemap.service.commands.maps import MOST_VALUES
 from joulemap.service.library.heightmaps import read_heightmap
+from tests.service import test_cli
 
 READING = {"--resolution", "--west", "--north", "--crs", "--scale", "--offset", "--nodata", "--band"}
 GROUP = get_command(app)
@@ -35,10 +35,8 @@ COMMANDS = {name: GROUP.get_command(None, name) for name in GROUP.commands}  # t
 
 def joulemap(*arguments: object) -> tuple[int, str, str]:
     """Exit code, stdout and stderr (without frames) of a command in this process."""
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, " ".join(result.stderr.replace("│", " ").split())
+    code, words, errors = test_cli.joulemap(*arguments)
+    return code, words, " ".join(errors.replace("│", " ").split())
 
 
 @pytest.fixture(scope="module")

@@ -73,7 +73,7 @@ def test_robot_schema_is_the_robot() -> None:
 @contextmanager
 def served(app: FastAPI) -> Iterator[str]:
     """The app behind a real server in this process; its base URL."""
-    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning"))
+    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning", loop="asyncio"))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     while not server.started:
@@ -83,7 +83,7 @@ def served(app: FastAPI) -> Iterator[str]:
         yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
     finally:
         server.should_exit = True
-        thread.join()
+        thread.join(30.0)
 
 
 def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> None:

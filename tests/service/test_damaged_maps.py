@@ -18,6 +18,7 @@ from joulemap.service.http.app import create_app
 from joulemap.service.storage.files import sums_of
 from tests.fuzz.damages import make_older
 from tests.service.conftest import GOAL, START, settings_for
+from tests.service.test_data_directory import flip
 
 ASKED = {"start": list(START), "goal": list(GOAL)}
 
@@ -41,12 +42,6 @@ def kept(tmp_path_factory: pytest.TempPathFactory, hill_tif: bytes) -> dict[str,
 def copied(kept: dict[str, Any], tmp_path: Path) -> dict[str, Any]:
     shutil.copytree(kept["folder"], tmp_path / "data")
     return {**kept, "folder": tmp_path / "data", "map": tmp_path / "data" / "costmaps" / f"{kept['costmap']}.zarr"}
-
-
-def flip(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
 
 
 DAMAGES: dict[str, tuple[str, Callable[[Path], object]]] = {

@@ -42,6 +42,7 @@ from joulemap.service.storage.tables import (
 )
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.test_calibrations import run_csv
+from tests.service.test_restart import wait_until
 from tests.service.workers import fingerprint, postgres, postgres_programs
 
 CALIBRATION = "cal-0123456789ab"
@@ -106,10 +107,7 @@ def test_what_was_committed_reaches_the_database_without_a_commit_that_waits(tmp
         before = file.stat().st_size
         with store.sessions.begin() as session:
             session.add(HeightmapRow(id="hm-0123456789ab", created_at=now(), name="x" * 100_000, stats={}))
-        until = time.monotonic() + 30.0
-        while file.stat().st_size < before + 100_000:
-            assert time.monotonic() < until
-            time.sleep(0.1)
+        wait_until(lambda: file.stat().st_size >= before + 100_000)
     finally:
         store.close()
 
@@ -267,7 +265,8 @@ def test_a_damaged_cost_map_is_made_again_the_same(copied: dict[str, Any]) -> No
     with TestClient(create_app(settings)) as client, sqlite3.connect(copied["folder"] / "joulemap.db") as database:
         database.execute("delete from keys")
         database.commit()
-        until_done(client, copied["costmap"])
+        kept = client.app.state.service.store  # type: ignore[attr-defined]
+        wait_until(lambda: kept.status(copied["costmap"]) == DONE)
     assert fingerprint(place) == before
     assert joulemap("check", "--data-dir", copied["folder"])[0] == 0
 
@@ -296,13 +295,6 @@ def test_what_was_sent_and_is_damaged_is_put_away_and_said(copied: dict[str, Any
         assert client.delete(place).status_code == 204
         assert client.delete(f"/v1/calibrations/{CALIBRATION}").status_code == 204
         assert [client.delete(f"/v1/{kind}/{row_id}").status_code for kind, row_id in wrong.items()] == [204, 204]
-
-
-def until_done(client: TestClient, costmap_id: str) -> None:
-    deadline = time.monotonic() + 120.0
-    while client.app.state.service.store.status(costmap_id) != DONE:  # type: ignore[attr-defined]
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -603,10 +595,7 @@ def test_a_service_sweeps_by_itself(kept: dict[str, Any], tmp_path: Path) -> Non
             "update costmaps set created_at = '2020-01-01 00:00:00', finished_at = '2020-01-01 00:00:00', bytes = null"
         )
     with TestClient(create_app(settings_for(tmp_path / "data", retention_gb=1e-9, workers=0))) as client:
-        deadline = time.monotonic() + 60.0
-        while client.get("/v1/costmaps").json()["total"]:
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
+        wait_until(lambda: not client.get("/v1/costmaps").json()["total"])
         assert client.get("/v1/calibrations").json()["total"] == 1
 
 

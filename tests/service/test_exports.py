@@ -34,7 +34,6 @@ from joulemap.service.exports.mission import corners_to_keep
 from joulemap.service.exports.nav2_graph import MOST_NODES
 from joulemap.service.exports.nav2_graph import write as write_graph
 from joulemap.service.exports.routes import ROUTE_FORMATS, RouteFile
-from joulemap.service.exports.track import track_of_drive
 from tests.reference.lattices import price_world_path
 
 CM = 0.01
@@ -369,31 +368,6 @@ def test_geojson_in_the_map_s_own_coordinates_names_them(route: jm.PlannedRoute)
         written(route.track, "gpx", coordinates="map")
     with pytest.raises(InputError, match="give wgs84 or map"):
         written(route.track, "geojson", coordinates="utm")
-
-
-def test_a_suggested_drive_is_a_mission_too(tmp_path: Path) -> None:
-    drive = {
-        "effect": "turning",
-        "label": "turning",
-        "points": [[370_010.0, 4_064_010.0], [370_040.0, 4_064_010.0], [370_040.0, 4_064_030.0]],
-        "speeds_mps": [0.4, 0.8],
-        "placed": True,
-        "crs": WESTERN[0],
-        "length_m": 50.0,
-        "total_length_m": 200.0,
-    }
-    track = track_of_drive(drive)
-    with pytest.raises(InputError, match="are no places"):
-        track_of_drive(drive | {"placed": False})
-    with pytest.raises(InputError, match="no effect"):
-        track_of_drive({"why_not": "no effect was found"})
-    back = Transformer.from_crs("EPSG:4326", WESTERN[0], always_xy=True)
-    for chosen in ROUTE_FORMATS.values():
-        assert RouteFile(chosen).written(track)
-    items = json.loads(written(track, "qgc-plan"))["mission"]["items"]
-    assert items[0]["params"][1] == 0.4
-    degrees = np.array([item["params"][4:6] for item in items[1:]])
-    assert np.hypot(*(np.column_stack(back.transform(degrees[:, 1], degrees[:, 0])) - drive["points"]).T).max() < CM
 
 
 @pytest.mark.parametrize("name", ["geotiff", "cog"])

@@ -23,6 +23,7 @@ from joulemap.service.client import ServedCostMap
 from joulemap.service.commands.console import parse_point
 from joulemap.service.exports.maps import MAP_FORMATS
 from joulemap.service.exports.routes import ROUTE_FORMATS
+from joulemap.service.exports.track import track_of_drive
 from joulemap.service.places.coordinates import world_point
 from joulemap.service.places.places import Places
 from tests.service.conftest import GOAL, NORTH, START, WEST, hill
@@ -277,6 +278,8 @@ def test_the_next_drive_by_command_and_in_python(folder: Path, tmp_path: Path, m
     assert [(p.latitude, p.longitude) for p in line.segments[0].points][1] == pytest.approx(latlon(GOAL), abs=1e-9)
     result = jm.CalibrationResult(tmp_path, {"next_drive": drive})
     assert result.save_next_drive(tmp_path / "again.gpx").read_bytes() == (tmp_path / "next.gpx").read_bytes()
+    with pytest.raises(InputError, match="no effect"):
+        track_of_drive({"why_not": "no effect was found"})
     drive["placed"] = False
     code, _, errors = command(*asked, *out)
     assert (code, "are no places" in errors) == (3, True)

@@ -25,15 +25,9 @@ from joulemap.service.http.logs import JsonLines, TextLines, WithRequestId, Writ
 from joulemap.service.http.metrics import Metrics
 from joulemap.service.http.observed import Observed
 from tests.service.conftest import GOAL, START
+from tests.service.test_restart import wait_until as until
 
 GENEROUS_S = 30.0
-
-
-def until(condition) -> None:  # type: ignore[no-untyped-def]
-    deadline = time.monotonic() + GENEROUS_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def numbers(client: TestClient) -> dict[str, float]:

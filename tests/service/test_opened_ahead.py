@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from fastapi.testclient import TestClient
 
 from joulemap.service.http.app import create_app
 from tests.service.conftest import GOAL, START, settings_for
+from tests.service.test_restart import wait_until
 
 
 def _made(client: TestClient, hill_tif: bytes) -> str:
@@ -34,10 +34,7 @@ def test_a_disk_that_fails_meanwhile_is_in_the_log(
         monkeypatch.setattr(maps, "for_routes", _fail)
         made = _made(client, hill_tif)
         words = f"cost map {made} could not be opened before its first question"
-        until = time.monotonic() + 30.0
-        while words not in caplog.text and time.monotonic() < until:
-            time.sleep(0.02)
-        assert words in caplog.text
+        wait_until(lambda: words in caplog.text)
         assert "the disk does not answer" in caplog.text
         monkeypatch.undo()
         answer = client.post(f"/v1/costmaps/{made}/paths", json={"start": START, "goal": GOAL})
@@ -70,8 +67,5 @@ def test_a_map_that_is_deleted_before_it_is_noted_as_done_does_not_stay_in_memor
         monkeypatch.setattr(maps, "for_routes", lambda job_id: deleted.wait(60.0) and for_routes(job_id))
         heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
         made = client.post("/v1/costmaps", json={"heightmap_id": heightmap, "model": "physics"}).json()["id"]
-        until = time.monotonic() + 60.0
-        while forgotten != [made, made] and time.monotonic() < until:  # by the deletion, and by the opening that began
-            time.sleep(0.02)
-        assert forgotten == [made, made]
+        wait_until(lambda: forgotten == [made, made])  # by the deletion, and by the opening that began
         assert len(maps) == 0
