@@ -1,6 +1,7 @@
 """From runs to a model in the corners: one run, runs of another place, trainings cut off, and what a folder keeps."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,6 +61,21 @@ def drive(
 
 def train(files, out, **options):
     return train_on_runs(waves(), ROBOT, files, out=out, epochs=1, start_from=SHIPPED, **options)
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    """A folder with two runs and a model of them, `mine`."""
+    folder = tmp_path_factory.mktemp("learned")
+    files = [drive(folder, f"{k}.csv", y=2.0 + k, more=1.2 + 0.01 * k) for k in range(2)]
+    train(files, folder / "mine")
+    return folder, files
+
+
+@pytest.fixture
+def mine(learned, tmp_path):
+    """Its two runs, and a copy of the model."""
+    return learned[1], Path(shutil.copytree(learned[0] / "mine", tmp_path / "mine"))
 
 
 def test_a_single_run_is_held_out_stretch_by_stretch(tmp_path, monkeypatch):
@@ -153,19 +169,18 @@ def test_runs_with_and_without_voltage_are_learned_together(tmp_path):
     np.testing.assert_allclose(one, other, rtol=1e-6)  # the voltage was the nominal one throughout
 
 
-def test_plans_pay_for_the_turns_that_a_models_runs_paid_for(tmp_path):
-    train([drive(tmp_path, "run.csv", y=4.0)], tmp_path / "model")
-    config = tmp_path / "model" / "config.json"
+def test_plans_pay_for_the_turns_that_a_models_runs_paid_for(mine):
+    config = mine[1] / "config.json"
     values = json.loads(config.read_text())
     del values["checksum"]
     costs = {"turn_j_per_rad": 4.0}
     config.write_text(json.dumps(values | {"drive_costs": costs}))
     declared = Robot(turn_j_per_rad=2.0)
-    lattice = make_cost_lattice(waves(), declared, model=tmp_path / "model", headings=8)
+    lattice = make_cost_lattice(waves(), declared, model=mine[1], headings=8)
     assert lattice.robot.turn_j_per_rad == 6.0
     del values["drive_costs"]  # as version 0.1 wrote it
     config.write_text(json.dumps(values | {"turn_j_per_rad": 7.0}))
-    assert planning_robot(find_predictor(tmp_path / "model"), declared).turn_j_per_rad == 9.0
+    assert planning_robot(find_predictor(mine[1]), declared).turn_j_per_rad == 9.0
 
 
 def test_what_straight_segments_turn_is_in_the_prices_already(tmp_path):
@@ -195,9 +210,7 @@ def test_a_calibration_without_effects_changes_no_prediction_with_or_without_a_l
     assert np.isfinite(predict_segments(charge, waves(), ROBOT, loaded).energy_j).all()
 
 
-def test_a_forgotten_robot_file_is_a_warning_wherever_the_model_answers(tmp_path):
-    files = [drive(tmp_path, f"{k}.csv", y=2.0 + k, more=1.2 + 0.01 * k) for k in range(2)]
-    train(files, tmp_path / "mine")
+def test_a_forgotten_robot_file_is_a_warning_wherever_the_model_answers(tmp_path, mine):
     model, other = find_predictor(tmp_path / "mine"), replace(ROBOT, name="mule", mass_kg=68.0)
     words = (
         "this robot is mule (68 kg), but the model mine was trained with rover-4wd (35 kg): "
@@ -225,10 +238,8 @@ def test_a_forgotten_robot_file_is_a_warning_wherever_the_model_answers(tmp_path
     assert not any("trained with" in " ".join(said) for said in found[ROBOT.name].values())
 
 
-def test_evaluation_on_runs_that_trained_the_model_says_so(tmp_path):
-    files = [drive(tmp_path, f"{k}.csv", y=2.0 + k, more=1.2 + 0.01 * k) for k in range(2)]
-    new = drive(tmp_path, "new.csv", y=5.5, more=1.1)
-    train(files, tmp_path / "mine")
+def test_evaluation_on_runs_that_trained_the_model_says_so(tmp_path, mine):
+    files, new = mine[0], drive(tmp_path, "new.csv", y=5.5, more=1.1)
     renamed = tmp_path / "renamed.csv"
     renamed.write_bytes(files[1].read_bytes())
 

@@ -117,6 +117,8 @@ def test_cold_and_age_leave_less() -> None:
         ({"open_circuit_v": "12 V"}, "list of 2 to 200 points"),
         ({"capacity_curve": [[0.0, "much"], [20.0, 1.0]]}, "point 0 of capacity_curve"),
         ({"colour": 1}, "unknown 'colour'"),
+        ({"charge": "60%"}, "charge is '60%'"),
+        ({"capacity_wh": None}, "capacity_wh"),
     ],
 )
 def test_odd_batteries_are_refused_in_words(values: dict, words: str) -> None:

@@ -120,14 +120,6 @@ def test_a_charge_in_per_cent_is_refused_with_what_to_write(key: str) -> None:
         Battery(280.0, **{key: -0.1})
 
 
-@pytest.mark.parametrize(
-    ("values", "named"), [({"charge": "60%"}, "charge is '60%'"), ({"capacity_wh": None}, "capacity_wh")]
-)
-def test_a_battery_is_made_of_numbers(values: dict[str, object], named: str) -> None:
-    with pytest.raises(InputError, match=named):
-        Battery(**({"capacity_wh": 280.0} | values))  # type: ignore[arg-type]
-
-
 def test_numbers_of_numpy_are_numbers() -> None:
     assert Battery(280, charge=np.float32(0.5)).available_j == pytest.approx(0.5 * 280 * 3600)
     assert Robot(mass_kg=np.float32(50.0)).mass_kg == 50.0
