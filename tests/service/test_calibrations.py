@@ -302,7 +302,7 @@ BAD_RUNS = [
     (b"PAR1" + b"\0" * 100, 422, "invalid_runs", "Parquet"),
     (GOOD.replace(b"t,x,y", b"t,lat,lon"), 422, "invalid_runs", "CRS"),
     (b't,x,y,current\n1,2,"' + b"x" * 200_000 + b'",4\n' * 3, 422, "invalid_runs", "run_0.csv"),
-    (b"t,x,y,current\n" + b"".join(b"%d,1,1,2\n" % k for k in range(200)), 422, "invalid_runs", "no segment"),
+    (b"t,x,y,current\n" + b"".join(b"%d,1,1,2\n" % k for k in range(200)), 422, "invalid_runs", "does not move"),
     (b"t,x,y,current\n" + b"".join(b"%d,%d,1,2\n" % (k, 1000 * k) for k in range(300)), 413, "too_large", "in metres"),
     (b"x" * 600_000, 413, "too_large", "limit is 0.5 MB"),
     (b"," * 70_000, 413, "too_large", "limit is 2,000"),
