@@ -24,6 +24,7 @@ from tests.reference import log_files as files
 
 def _read_all(kind, folder, truncated, mutated, capfd):
     good = WRITERS[kind](folder / f"drive.{kind}", files.drive(20.0)).read_bytes()
+    parse_run(good, name="run", crs=files.CRS, limits=LIMITS)  # compiles what is timed
     rng = np.random.default_rng(5)
     inputs = [good[: int(len(good) * (k + 0.5) / truncated)] for k in range(truncated)]
     inputs += [changed(rng, good, text=False) for _ in range(mutated)]
