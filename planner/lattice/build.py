@@ -102,6 +102,7 @@ def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: 
 
     Result: JSON-able: version and time, heightmap, model, `spacing_m`, `headings`, `warnings`.
     """
+    model, doubts = with_survey_error(source.provenance(), ground, robot, source)
     return {
         "joulemap": version("joulemap"),
         "made_at": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
@@ -113,12 +114,13 @@ def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: 
             "noise_m": ground.noise.noise_m,
             "noise_length_m": ground.noise.length_m,
         },
-        "model": with_survey_error(source.provenance(), ground, robot, source),
+        "model": model,
         "spacing_m": tiling.frame.resolution_m,
         "headings": tiling.headings,
         "warnings": [
             *source.warnings(overview(ground), robot),
             *noise_warnings(ground.noise.noise_m, robot),
+            *doubts,
             *size_warnings(ground.frame, robot),
             *ground.layers.warnings(ground.frame),
         ],

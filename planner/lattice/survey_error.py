@@ -14,21 +14,32 @@ from joulemap.model.terrain.noise_estimate import sample_windows
 from joulemap.model.terrain.windows import Ground
 from joulemap.model.traction import TractionSource
 
+_WORTH_SAYING = 0.05
+"""The usual error of a whole run (`Spread.run_share`)."""
 _SPACING_M = 1.0
 _PART_CELLS, _PARTS, _HEADINGS = 64, 2, 4
 """Of a map 2 x 2 parts of 64 x 64 cells are priced at four headings."""
 
 
-def with_survey_error(model: dict[str, Any], ground: Ground, robot: Robot, source: TractionSource) -> dict[str, Any]:
-    """Return the provenance of a model, with the error of a map in what a whole run has in common.
+def with_survey_error(
+    model: dict[str, Any], ground: Ground, robot: Robot, source: TractionSource
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the provenance of a model, with the error of a map in what a whole run has in common, and a warning of it.
 
     `model`: as `TractionSource.provenance` gives it; unchanged from a model that gives no odds.
     """
-    spread = model.get("spread")
+    spread, bumps = model.get("spread"), ground.noise.bumps
     error = survey_error(ground, robot, source) if spread is not None else 0.0
-    if spread is None or error == 0.0:
-        return model
-    return {**model, "spread": {**spread, "run_share": math.hypot(spread["run_share"], error)}}
+    if spread is None or bumps is None or error == 0.0:
+        return model, []
+    said = (
+        f"bumps of {1000.0 * bumps.std_m:.0f} mm that are alike over {bumps.length_m:.2g} m are noise with a "
+        f"probability of {bumps.probability:.0%}, else ground: all energies of the map are uncertain by {error:.0%}. "
+        f"`noise_m` {bumps.std_m:.2g} and `noise_length_m` {bumps.length_m:.2g} call them noise, and `noise_m` 0 ground"
+    )
+    return {**model, "spread": {**spread, "run_share": math.hypot(spread["run_share"], error)}}, (
+        [said] if error > _WORTH_SAYING else []
+    )
 
 
 def survey_error(ground: Ground, robot: Robot, source: TractionSource) -> float:

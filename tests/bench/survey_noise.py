@@ -90,7 +90,7 @@ def measure(sites: int, *, correlation_m: float, given: bool, as_surveyed: bool,
 
 def _inside(survey, robot, predictor, said_j, std_j, energy_j) -> bool:
     """Whether a drive's energy lies inside the interval of 90 %."""
-    model = with_survey_error({"spread": predictor.spread.as_dict()}, survey, robot, predictor)
+    model, _ = with_survey_error({"spread": predictor.spread.as_dict()}, survey, robot, predictor)
     spread = Spread.from_dict(model["spread"])
     scale_j, freedom = spread.along(said_j, std_j)
     odds = EnergyOdds(np.cumsum(said_j), scale_j, freedom, spread.bias, spread.skew)
