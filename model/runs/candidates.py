@@ -80,7 +80,10 @@ def candidates_of(target: str, stream: Stream, taken: Collection[str]) -> list[C
 def _is_part(column: str, stream: Stream) -> bool:
     """Whether a column is a component of a vector: `vel[0]` beside `vel[1]`, `velocity.1` beside `velocity.0`."""
     found = re.fullmatch(r"(.*[\[.])(\d)(\]?)", column)
-    return found is not None and f"{found[1]}{'10'[found[2] == '1']}{found[3]}" in stream.numbers
+    if found is None:
+        return False
+    other = "0" if found[2] == "1" else "1"
+    return f"{found[1]}{other}{found[3]}" in stream.numbers
 
 
 def speaks(target: str, values: FloatArray) -> bool:

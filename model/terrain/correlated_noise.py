@@ -43,16 +43,16 @@ _USUAL_M = 2048e-6 * 0.1**2
 _USUAL_NOISE_M = 0.03
 """Standard deviation that surveys usually have: robots 10 to 30 mm, drones 20 to 50, national models 50 to 150."""
 _NOISY_MAPS = 0.2
-"""Share of maps that have such noise: an assumption."""
+"""Share of maps that have such noise: an assumption, chosen by `tests.bench.survey_noise` among 1/2, 1/3 and 1/5."""
 _CLASS = math.log(4.0)
-"""Standard deviation of the logarithm of a variance. Of ground it is that from one class to the next: unpaved ground is
-of classes C to F in 95 of 100 cases. Of noise it is the same: 95 of 100 surveys have 8 to 120 mm."""
+"""Standard deviation of the logarithm of a variance: that from one class to the next. Assumptions: unpaved ground is of
+classes C to F in 95 of 100 cases, and 95 of 100 such surveys have noise of 8 to 120 mm."""
 _TWIST_OF_DENSITY = 2.0 * math.pi**2 * (1.0 - math.sqrt(0.5))
 """Variance of a twist of ground of such a density, over density and side: structure function 2 pi^2 G r, isotropic."""
 
 
 @dataclass(frozen=True, slots=True)
-class PerhapsNoise:
+class PossibleNoise:
     """Bumps of a map that are noise or ground."""
 
     std_m: float  # Their standard deviation [m]
@@ -62,7 +62,7 @@ class PerhapsNoise:
 
 def correlated_noise(
     sides: FloatArray, variances: FloatArray, squares: FloatArray, tails: FloatArray, cells_m: float
-) -> PerhapsNoise | None:
+) -> PossibleNoise | None:
     """Return what explains how twists grow; None where nothing that is alike over some cells does.
 
     `sides` (n,): of the squares [cells]; `variances` (n,): of half their twists [m2]; `squares` (n,): how many there
@@ -89,7 +89,7 @@ def correlated_noise(
     near = min(int(np.searchsorted(sides, 1.5 * length)), sides.size - 1)
     heavy = tails[near] > _NORMAL_TAIL * (_HEAVY + _HEAVY_ERROR * sides[near] / math.sqrt(squares[near]))
     probability = 0.0 if heavy else _probability_of_noise(variance, length * cells_m)
-    return PerhapsNoise(math.sqrt(variance), length * cells_m, probability)
+    return PossibleNoise(math.sqrt(variance), length * cells_m, probability)
 
 
 def _probability_of_noise(variance: float, length_m: float) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import GridFrame
-from joulemap.model.terrain.correlated_noise import PerhapsNoise, correlated_noise
+from joulemap.model.terrain.correlated_noise import PossibleNoise, correlated_noise
 
 FloatArray = NDArray[np.float32]
 
@@ -40,7 +40,7 @@ class SurveyNoise:
     noise_m: float = 0.0  # Its standard deviation [m]; of bumps that are perhaps noise the square root of their
     # variance times that probability, so that as much of them is taken out
     length_m: float = 0.0  # Its correlation at distance d is exp(-d^2 / 2 l^2) [m]; 0: independent from cell to cell
-    bumps: PerhapsNoise | None = None  # What has the shape of noise, and may be ground
+    bumps: PossibleNoise | None = None  # What has the shape of noise, and may be ground
 
 
 class Surveyed:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from joulemap.model.robot import Robot
-from joulemap.model.terrain.correlated_noise import PerhapsNoise
+from joulemap.model.terrain.correlated_noise import PossibleNoise
 from joulemap.model.terrain.denoising import LEAST_NOISE_M, correlation_of, hiding_noise_m
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.lattice.limits import SQUARE_M, STEP_IN_NOISE
@@ -30,7 +30,7 @@ class VisibleFeatures:
         Length over which it is alike [m]; 0 where it is independent from cell to cell.
     noise_given : bool
         Whether the user gave it; else it was estimated.
-    bumps : PerhapsNoise or None
+    bumps : PossibleNoise or None
         Bumps that are noise or ground.
     slope_std_deg : float
         Standard deviation of the slope of a square metre [deg].
@@ -45,7 +45,7 @@ class VisibleFeatures:
     noise_m: float
     noise_length_m: float
     noise_given: bool
-    bumps: PerhapsNoise | None
+    bumps: PossibleNoise | None
     slope_std_deg: float
     least_bump_m: float
     shortest_bump_m: float

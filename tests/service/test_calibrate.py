@@ -45,9 +45,9 @@ def calibrate(field, out, *more, quick=True):
     return runner.invoke(app, ["calibrate", *map(str, [*options, "--runs", field, "--out", out, *more])])
 
 
-def evaluate(field, out, runs, told):
-    words = f"evaluate --model {out}/model --heightmap {field}/dem.tif --robot {field}/robot.toml --runs {runs}"
-    return runner.invoke(app, [*words.split(), "--json", str(told)])
+def evaluate(field, out, runs, answer):
+    options = ["--model", out / "model", "--heightmap", field / "dem.tif", "--robot", field / "robot.toml"]
+    return runner.invoke(app, ["evaluate", *map(str, [*options, "--runs", runs, "--json", answer])])
 
 
 def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, tmp_path):

@@ -32,7 +32,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     """Read the documents."""
     lines = [_lines(each) for each in re.split(r"(?m)^---.*$", content_of(source).decode("utf-8", "replace"))]
     found = [_block(each, 0, 0, source.name)[0] for each in lines if each]
-    return log_of(found if len(found) > 1 else [*found, None][0], "YAML", source.name, limits)
+    return log_of(found[0] if len(found) == 1 else found, "YAML", source.name, limits)
 
 
 def _lines(text: str) -> list[tuple[int, str, str]]:
