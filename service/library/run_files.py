@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import tempfile
 import warnings
 from collections.abc import Mapping
@@ -77,11 +78,13 @@ def is_kept(path: Path) -> bool:
 
 @cache
 def _folder() -> Path:
-    _kept.append(tempfile.TemporaryDirectory(prefix="joulemap-"))
-    return Path(_kept[0].name)
-
-
-_kept: list[tempfile.TemporaryDirectory[str]] = []
+    set_by_service, tempfile.tempdir = tempfile.tempdir, None  # a service of this process empties its own at its end
+    try:
+        made = tempfile.TemporaryDirectory(prefix="joulemap-")
+    finally:
+        tempfile.tempdir = set_by_service
+    atexit.register(made.cleanup)
+    return Path(made.name)
 
 
 RUN_SUFFIXES = suffixes()

@@ -1,10 +1,12 @@
 """Logs of other programs over HTTP, on the command line and in Python: mapped, judged, kept in joulemap's columns."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
 import rasterio
+from fastapi.testclient import TestClient
 from rasterio.transform import Affine
 from typer.testing import CliRunner
 
@@ -13,10 +15,12 @@ from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.reader import read_run
 from joulemap.service.cli import app
+from joulemap.service.http.app import create_app
 from joulemap.service.intake.limits import ReadLimits
 from joulemap.service.intake.trial import refuse_deadly
+from joulemap.service.library import run_files
 from tests.reference import log_files as files
-from tests.service.conftest import WEST
+from tests.service.conftest import WEST, settings_for
 from tests.unit.test_recordings import archive_of, split_bag
 
 ROWS = 300
@@ -209,6 +213,14 @@ def test_tables_in_memory_are_runs_as_files_are(tmp_path):
         jm.read_runs({"t": [1, 2, 3], "x": [1]})
     with pytest.raises(RunsError, match="speed=Speed:km/h"):
         jm.read_runs({"t": columns["timestamp"], "Speed": np.full(ROWS, 5.0), "power": np.full(ROWS, 90.0)})
+
+
+def test_a_table_in_memory_outlives_a_service_of_the_same_process(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_files, "_folder", cache(run_files._folder.__wrapped__))
+    with TestClient(create_app(settings_for(tmp_path))):
+        runs = jm.read_runs(in_memory())
+    assert all(file.is_file() for file in runs.files)
+    assert len(jm.read_runs(in_memory())) == 1
 
 
 def test_copies_of_a_log_are_one_run(client, tmp_path):
