@@ -25,7 +25,7 @@ check: lint ## the linters and the quickest unit tests, in under two minutes
 	$(BIN)/python -m pytest $(PARALLEL) $(QUICK:%=tests/unit/test_%.py) $(ARGS)
 
 test: lint ## what must pass before a change is taken: linters, types, layers, documentation, tests
-	$(BIN)/python -m pytest -m "not slow" $(PARALLEL) $(ARGS)
+	$(BIN)/python -m pytest -m "not slow" $(PARALLEL) --durations=40 --durations-min=5 $(ARGS)
 
 test-slow: $(INSTALLED) ## the tests that take minutes
 	$(BIN)/python -m pytest -m slow $(ARGS)
