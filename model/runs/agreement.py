@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from joulemap.model.frames import wrap_angle
-from joulemap.model.runs.counters import summed
 from joulemap.model.runs.table import FloatArray
 from joulemap.model.runs.units import UNITS
 
@@ -17,13 +16,9 @@ _SERIAL_DAYS = (20_000.0, 80_000.0)  # dates of spreadsheets from 1954 to 2119
 _SHORTEST_STEP_S = 1e-3  # no log of a vehicle is written more often
 _EARTH_M = 6_371_000.0
 _DEGREES = 0.1  # a drive of 10 km spans less of both
-_ALIKE = 0.2  # of a path and the distance of a speed, which differ by slips and corners
-_SPEEDS = ("m/s", "km/h", "mph")  # these differ by more; knots and miles an hour do not
 _CONFUSED = (3.6, 1.0 / 0.44704, 1.609344, 1000.0)  # m/s with km/h or mph, km with miles, m with km
 _RATIO = 0.05
-_WINDOW_S = 5.0
 _LEAST_DRAG_M2 = 0.1
-_STARTED_MPS2 = (0.05, 30.0)  # it starts or brakes faster; rounded speeds seem to jump
 
 DRIVEN_MPS = (0.02, 70.0)
 """Of the path of a vehicle that drives."""
@@ -38,63 +33,25 @@ LEAST_LOAD_OHM = 0.05
 """A smaller load is as small as the inner resistance of a battery pack and its cables: no pack drives it for long."""
 
 
-def time_unit(values: FloatArray, path_m: float | None, speed: FloatArray | None = None) -> tuple[str, str]:
-    """Return the unit of stamps that have none.
-
-    `values` is (n,); `speed` (n,): of the vehicle, in any unit. Result: the unit, empty for seconds; and why, where it
-    is not that of an epoch.
-    """
+def units_of_stamps(values: FloatArray) -> list[str]:
+    """Return the units that stamps without one may be in, the usual one first; `values` is (n,)."""
     known = values[np.isfinite(values)]
     if known.size < 2:
-        return "", ""
+        return ["s"]
     largest = float(np.abs(known).max())
-    epoch = next((word for least, word in _EPOCHS if largest > least), "")
-    if epoch:
-        return epoch, ""
+    if epoch := next((word for least, word in _EPOCHS if largest > least), ""):
+        return [epoch]
     steps = np.abs(np.diff(known))
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     clock = known % 100.0 < 60.0, known // 100.0 % 100.0 < 60.0
     if np.ptp(known) > 100.0 and largest < 240_000.0 and np.all(clock) and step <= 30.0:
-        return "hhmmss", "no two digits of it reach 60"
+        return ["hhmmss"]  # no two digits of it reach 60
     low, high = _SERIAL_DAYS
     if low < known.min() and largest < high and 0 < step < _SHORTEST_STEP_S:
-        return "d", "days of a spreadsheet"
+        return ["d"]
     if step < 10.0 or (known != np.round(known)).any():
-        return "", ""
-    if path_m:
-        made, (slowest, fastest), why = path_m / float(np.ptp(known)), DRIVEN_MPS, "by the way that was driven"
-    else:
-        made, (slowest, fastest), why = _acceleration(values, speed), _STARTED_MPS2, "by how its speed changes"
-    fitting = [
-        unit
-        for unit in ("s", "ms", "us")
-        if step * UNITS["time"][unit][0] >= _SHORTEST_STEP_S and slowest < made / UNITS["time"][unit][0] < fastest
-    ]
-    return (fitting[0], why) if len(fitting) == 1 and fitting != ["s"] else ("", "")
-
-
-def _acceleration(t: FloatArray, speed: FloatArray | None) -> float:
-    """How fast a speed changes at most, but for one in a hundred rows that may be wrong; 0 where it is not known."""
-    if speed is None or (known := np.isfinite(t) & np.isfinite(speed)).sum() < 3:
-        return 0.0
-    steps = np.diff(t[known])
-    return float(np.quantile(np.abs(np.diff(speed[known])[steps > 0] / steps[steps > 0]), 0.99, method="higher"))
-
-
-def thousandths(volts: FloatArray | None, amps: FloatArray | None) -> list[str]:
-    """Return which of a voltage and a current must be in thousandths of V and A.
-
-    `volts`, `amps` (n,): of one battery, in units that nothing says.
-    """
-    if volts is None or not np.isfinite(volts).any():
-        return []
-    volt, found = abs(float(np.nanmedian(volts))), list[str]()
-    if volt > MOST_V:
-        volt, found = 1e-3 * volt, ["voltage"]
-    flowing = np.abs(amps[np.isfinite(amps) & (amps != 0)]) if amps is not None else np.empty(0)
-    if flowing.size and float(np.median(flowing)) > most_amps(volt):
-        found.append("current")
-    return found
+        return ["s"]
+    return [unit for unit in ("s", "ms", "us") if step * UNITS["time"][unit][0] >= _SHORTEST_STEP_S]
 
 
 def most_amps(volts: float) -> float:
@@ -157,7 +114,7 @@ def path_of(numbers: Mapping[str, FloatArray]) -> float | None:
     `numbers` (n,): columns, of which `x` and `y` [m], or `lat` and `lon` [deg] are used. Result: in metres, between
     about a hundred of them, at distances of at least the noise of a receiver; None without any.
     """
-    x, y, _ = _plane(numbers)
+    x, y, _ = plane(numbers)
     if x.size < 2:
         return None
     step = max(1, x.size // 200)
@@ -168,21 +125,14 @@ def speed_of(t: FloatArray, numbers: Mapping[str, FloatArray]) -> FloatArray | N
     """Return the speed [m/s] by a distance or by positions, (n,); None without both. `t` (n,): rising stamps [s]."""
     if "distance" in numbers:
         return np.abs(np.gradient(numbers["distance"], t))
-    x, y, at = _plane(numbers, t)
+    x, y, at = plane(numbers, t)
     if at.size < 2:
         return None
     return np.interp(t, at, np.hypot(np.gradient(x, at), np.gradient(y, at)))
 
 
-def counted_m(total: FloatArray) -> float | None:
-    """Return what a counter counted in all, (n,); None where its steps are too coarse to tell units of speed apart."""
-    steps, whole = np.diff(total[np.isfinite(total)]), float(np.nanmax(total, initial=0.0))
-    coarse = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    return whole if coarse <= _ALIKE * whole else None
-
-
-def _plane(numbers: Mapping[str, FloatArray], t: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Known positions in metres, and their stamps."""
+def plane(numbers: Mapping[str, FloatArray], t: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the known positions in metres, and their stamps; empty without any."""
     if {"x", "y"} <= numbers.keys():
         x, y = numbers["x"], numbers["y"]
     elif {"lat", "lon"} <= numbers.keys():
@@ -194,39 +144,6 @@ def _plane(numbers: Mapping[str, FloatArray], t: FloatArray | None = None) -> tu
     t = np.zeros(x.size) if t is None else t
     known = np.isfinite(x) & np.isfinite(y) & np.isfinite(t)
     return x[known], y[known], t[known]
-
-
-def speed_unit(t: FloatArray, speed: FloatArray, numbers: Mapping[str, FloatArray], path_m: float | None) -> str:
-    """Return the unit in which a speed agrees with the way that was driven.
-
-    `t` (n,): stamps [s]; `speed` (n,); `numbers` (n,): columns with positions, if there are any.
-
-    With positions, speeds over some seconds are compared while the robot moves, because fixes that scatter make a
-    longer way.
-    """
-    x, y, at = _plane(numbers, t)
-    logged = (
-        np.interp(at, t[known], np.abs(speed[known])) if (known := np.isfinite(t) & np.isfinite(speed)).any() else at
-    )
-    if at.size > 20:
-        step = float(np.median(np.diff(at)))
-        lag = int(np.clip(np.ceil(_WINDOW_S / max(step, 1e-6)), 1, at.size // 4))
-        passed = at[lag:] - at[:-lag]
-        moving = np.hypot(x[lag:] - x[:-lag], y[lag:] - y[:-lag]) / np.maximum(passed, 1e-6)
-        total = np.concatenate([[0.0], np.cumsum(0.5 * (logged[1:] + logged[:-1]) * np.diff(at))])
-        said = (total[lag:] - total[:-lag]) / np.maximum(passed, 1e-6)
-        clear = (passed > 0) & (said > 0) & (moving > 0.5 * np.quantile(moving, 0.9))
-        ratio = float(np.median(moving[clear] / said[clear])) if clear.any() else 0.0
-    else:
-        made = summed(t, speed)
-        whole = float(np.nanmax(made, initial=0.0))
-        ratio = path_m / whole if path_m and whole > 0 else 0.0
-        ratio = 1e3 * ratio if ratio < 0.01 else ratio  # a distance in km
-    if ratio <= 0:
-        return ""
-    off = {unit: abs(np.log(ratio / UNITS["speed"][unit][0])) for unit in _SPEEDS}
-    best = min(off, key=lambda unit: off[unit])
-    return best if off[best] < _ALIKE else ""
 
 
 def contradiction(counted: FloatArray, made: FloatArray) -> str:
@@ -241,22 +158,11 @@ def contradiction(counted: FloatArray, made: FloatArray) -> str:
     return f"{whole / other:.3g}" if near else ""
 
 
-def power_unit(power: FloatArray, speed: FloatArray) -> str:
-    """Return `kW` for a power that cannot be in watts, because the air takes more at the speed that was driven.
+def air_w(speed: FloatArray) -> float:
+    """Return what the air takes at least [W]: rho c_w A v^3 / 2. `speed` (n,): [m/s].
 
-    `power` (n,); `speed` (n,): at the same rows [m/s].
-
-    The air takes rho c_w A v^3 / 2; rho is 1.2 kg/m3, and c_w A at least 0.1 m2, less than that of the best enclosed
-    bicycles and solar cars.
+    rho is 1.2 kg/m3, and c_w A at least 0.1 m2, less than that of the best enclosed bicycles and solar cars.
     """
-    known = np.isfinite(power) & np.isfinite(speed)
-    if not known.any():
-        return ""
-    air, mean = _air_w(speed[known]), abs(float(np.mean(power[known])))
-    return "kW" if mean < air <= 1e3 * mean else ""
-
-
-def _air_w(speed: FloatArray) -> float:
     return 0.5 * 1.2 * _LEAST_DRAG_M2 * float(np.mean(np.abs(speed) ** 3))
 
 
@@ -270,7 +176,7 @@ def drives_nothing(power: FloatArray, speed: FloatArray) -> bool:
     rest, drive = (known & side for side in (np.abs(speed) < DRIVEN_MPS[0], np.abs(speed) >= DRIVEN_MPS[0]))
     if not rest.any() or not drive.any():
         return False
-    return abs(float(np.mean(power[drive]) - np.mean(power[rest]))) < _air_w(speed[drive])
+    return abs(float(np.mean(power[drive]) - np.mean(power[rest]))) < air_w(speed[drive])
 
 
 def compass(t: FloatArray, angle: FloatArray, numbers: Mapping[str, FloatArray]) -> tuple[FloatArray, str] | None:
@@ -279,13 +185,13 @@ def compass(t: FloatArray, angle: FloatArray, numbers: Mapping[str, FloatArray])
     `t` (n,): stamps [s]; `angle` (n,); `numbers` (n,): columns with positions. Result: degrees clockwise from north,
     and the reading in words; None where no reading agrees within a quarter radian.
     """
-    x, y, _ = _plane(numbers, np.where(np.isfinite(angle), t, np.nan))
+    x, y, _ = plane(numbers, np.where(np.isfinite(angle), t, np.nan))
     if x.size < 20:
         return None
     lag = max(1, x.size // 100)
     dx, dy = x[lag:] - x[:-lag], y[lag:] - y[:-lag]
     far = np.hypot(dx, dy) > 0.5 * float(np.median(np.hypot(dx, dy)))
-    at = _plane(numbers, np.where(np.isfinite(t), angle, np.nan))[2]
+    at = plane(numbers, np.where(np.isfinite(t), angle, np.nan))[2]
     middle = at[lag // 2 : lag // 2 + dx.size]
     way = np.arctan2(dx, dy)
     best = None

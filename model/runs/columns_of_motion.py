@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -18,12 +18,11 @@ from joulemap.model.runs.instants import across_midnight
 from joulemap.model.runs.mapping import RADIUS, Source
 from joulemap.model.runs.names import words_of
 from joulemap.model.runs.table import LEAST_ROWS, SIDES, TURNING, FloatArray, spread
-from joulemap.model.runs.units import UNITS, conversion
+from joulemap.model.runs.units import conversion
+from joulemap.model.runs.unsaid_units import ALIKE, FAST_KMPH, UNSAID, Movement, clear, fitting, off
 
-_AGREE = 0.2  # a counted distance differs from the sum of the speed by less
 _FALLS = 0.05  # of the steps of a counter, which falls where it begins anew
 _NO_METRES = 30.0  # a distance that counts so many times less than the speed makes counts km or miles
-_FAST_KMPH = 70.0  # a speed that is above this number is no m/s of a vehicle on the ground
 
 
 def take_degrees(
@@ -41,82 +40,116 @@ def take_degrees(
     found.notes.append("`x` and `y` are taken for a longitude and a latitude: in metres they would hardly move")
 
 
-def take_radians(numbers: dict[str, FloatArray], stream: Stream, words: dict[str, str], found: Recognised) -> None:
-    """Latitudes and longitudes that are in radians: then their way is that of the distance or of the speed."""
-    if not {"t", "lat", "lon"} <= numbers.keys() or any(found.chosen[key].unit for key in ("lat", "lon")):
+def take_movement(
+    numbers: dict[str, FloatArray], stream: Stream, words: dict[str, str], found: Recognised, name: str
+) -> None:
+    """Time, speed and distance in the units in which they and the positions agree best.
+
+    A speed whose unit stays open is left out, and asked for where nothing else says how far it drove.
+    """
+    chosen = found.chosen
+    if "t" not in chosen:
         return
-    turned = {key: np.degrees(numbers[key]) for key in ("lat", "lon")}
-    path_m = agreement.path_of(turned) if np.nanmax(np.abs([*turned.values()]), initial=0.0) <= 180.0 else None
-    column = found.chosen["speed"].columns[0] if "speed" in found.chosen else ""
-    driven, units = numbers.get("distance"), {"m": (1.0, 0.0)}
-    if driven is None and column in stream.numbers:
-        driven, units = summed(numbers["t"], stream.numbers[column]), UNITS["speed"]
-    if driven is None or not path_m:
-        return
-    whole = float(np.nanmax(driven, initial=0.0))
-    if any(abs(whole * factor / path_m - 1.0) < _AGREE for factor, _ in units.values()):
+    stamps, units = _stamps(chosen["t"], stream, name)
+    times = {unit: _seconds(stamps, unit) for unit in units}
+    choices: dict[str, Sequence[str]] = {"t": units}
+    if _placed(numbers):
+        open_ = {"lat", "lon"} <= numbers.keys() and not any(chosen[key].unit for key in ("lat", "lon"))
+        turned = {key: np.degrees(numbers[key]) for key in ("lat", "lon")} if open_ else {}
+        known = any(key in numbers for key in ("speed", "distance"))
+        around = known and open_ and all(np.nanmax(np.abs(each), initial=0.0) <= 180.0 for each in turned.values())
+        places = {"": numbers} | ({"rad": turned} if around else {})
+        choices["place"] = [*places]
+    else:
+        places = {}
+    for key in ("speed", "distance"):
+        if key in numbers:
+            choices[key] = [""] if chosen[key].unit or chosen[key].columns == ["distance"] else UNSAID[key]
+    counted = numbers.get("distance")
+    counted = total_of(counted) if counted is not None and not numbers.keys() & {"lat", "x"} else None
+    counted = counted if counted is not None and _counts(counted) else None
+    movement = Movement(times, places, numbers.get("speed"), counted)
+    fits = fitting(choices, movement.cost)
+    unit = clear(fits["t"], "s" if "s" in units else units[0])
+    numbers["t"], words["t"] = times[unit], unit if unit != "s" else ""
+    if unit != "s" and (len(units) > 1 or unit in ("d", "hhmmss")):
+        found.notes.append(f"`t` is taken for {unit}: so its numbers, and those of its movement, make sense")
+    if (place := clear(fits.get("place", [""]), "")) == "rad":
         numbers |= turned
         words |= dict.fromkeys(turned, "rad")
         found.notes.append("`lat` and `lon` are taken for radians: in degrees the way would be 57 times too short")
+    if "speed" in numbers:
+        _take_speed(numbers, stream, words, found, fits["speed"], movement, {"t": unit, "place": place})
+    if choices.get("distance", ("",)) != [""] and "distance" in numbers and not _placed(numbers):
+        _take_counter(numbers, words, found, fits["distance"], "speed" in numbers)
 
 
-def time_of(
-    source: Source, stream: Stream, path_m: float | None, name: str, found: Recognised
-) -> tuple[FloatArray, str]:
-    """The stamps [s], and their unit where the name does not say it."""
+def _stamps(source: Source, stream: Stream, name: str) -> tuple[FloatArray, list[str]]:
+    """The stamps as they are written, and the units that they may be in."""
     kinds = [stream.units.get(column, "") for column in source.columns]
-    columns = [numbers_of(stream, column, name) for column in source.columns]
-    total = np.sum([sign * values for (sign, _), values in zip(source.parts, columns, strict=True)], axis=0)
-    if DATE in kinds:
-        return total, DATE
-    if CLOCK in kinds:
-        return across_midnight(total), CLOCK
-    unit, why = source.unit, ""
-    if not unit:
-        speed = stream.numbers.get(found.chosen["speed"].columns[0]) if "speed" in found.chosen else None
-        unit, why = agreement.time_unit(total, path_m, speed)
-    if why:
-        found.notes.append(f"`t` is taken for {unit}: {why}")
+    total = np.sum([sign * numbers_of(stream, column, name) for sign, column in source.parts], axis=0)
+    for kind in (DATE, CLOCK):
+        if kind in kinds:
+            return total, [kind]
+    return total, [source.unit] if source.unit else agreement.units_of_stamps(total)
+
+
+def _seconds(stamps: FloatArray, unit: str) -> FloatArray:
+    if unit in (DATE, CLOCK):
+        return stamps if unit == DATE else across_midnight(stamps)
     if unit == "hhmmss":
-        return across_midnight(agreement.of_clock(total)), unit
-    factor = conversion("t", unit)[0] if unit else 1.0
-    largest = float(np.nanmax(np.abs(total), initial=0.0))
-    seconds = total if factor == 1.0 else total * factor
-    return (across_midnight(seconds) if unit == "ms" and largest * factor <= 86_400.0 else seconds), unit
+        return across_midnight(agreement.of_clock(stamps))
+    factor = conversion("t", unit)[0]
+    seconds = stamps if factor == 1.0 else stamps * factor
+    of_day = unit == "ms" and float(np.nanmax(np.abs(seconds), initial=0.0)) <= 86_400.0
+    return across_midnight(seconds) if of_day else seconds
 
 
-def take_speed(
-    source: Source,
-    stream: Stream,
+def _take_speed(
     numbers: dict[str, FloatArray],
-    path_m: float | None,
-    name: str,
-    repairs: dict[str, int],
-    found: Recognised,
+    stream: Stream,
     words: dict[str, str],
+    found: Recognised,
+    units: Sequence[str],
+    movement: Movement,
+    others: Mapping[str, str],
 ) -> None:
-    """The speed [m/s]; one whose unit nothing says is left out, or asked for where it is needed."""
-    logged, _ = read_column("speed", Source(source.parts), stream, name, repairs)
-    unit = source.unit
-    if not unit and "t" in numbers:
-        unit = agreement.speed_unit(numbers["t"], logged, numbers, path_m)
-        if not unit and path_m is None:
-            column = source.columns[0]
-            if np.nanmax(np.abs(logged), initial=0.0) > _FAST_KMPH:
-                unit = "km/h"
-                found.notes.append(f"`speed` is taken for km/h, because {column[:60]} reaches more than {_FAST_KMPH:g}")
-            elif any(words_of(other)[:2] == ["header", "stamp"] for other in stream.numbers):
-                unit = "m/s"
-                found.notes.append("`speed` is taken for m/s, the unit of ROS, whose stamps it has")
-            else:
-                found.questions["speed"] = (
-                    f"is {column[:60]} in km/h or m/s? Say it with a mapping: speed={column[:60]}:km/h"
-                )
-                return
-        if not unit and source.columns != ["speed"]:  # of which joulemap's own is in m/s
-            return
-    words["speed"] = unit if not source.unit else ""
-    numbers["speed"] = logged * (UNITS["speed"].get(unit) or conversion("speed", unit or "m/s"))[0]
+    """The speed [m/s]; with positions one that is not theirs is no speed of the vehicle."""
+    column, logged, placed = found.chosen["speed"].columns[0], numbers.pop("speed"), bool(movement.places)
+    unit = clear(units, "?")
+    if placed and unit not in ("", "?") and off(movement.pace(others), conversion("speed", unit)[0]) >= 1.0:
+        unit = "?"
+    if unit == "?" and placed and column == "speed":
+        unit = "m/s"
+    elif unit == "?" and not placed and any(words_of(other)[:2] == ["header", "stamp"] for other in stream.numbers):
+        unit = "m/s"
+        found.notes.append("`speed` is taken for m/s, the unit of ROS, whose stamps it has")
+    elif unit == "?" and not placed:
+        found.questions["speed"] = f"is {column[:60]} in km/h or m/s? Say it with a mapping: speed={column[:60]}:km/h"
+    elif unit == "km/h" and movement.counted is None and not placed:
+        found.notes.append(f"`speed` is taken for km/h, because {column[:60]} reaches more than {FAST_KMPH:g}")
+    if unit != "?":
+        words["speed"] = unit
+        numbers["speed"] = logged * conversion("speed", unit)[0] if unit else logged
+
+
+def _take_counter(
+    numbers: dict[str, FloatArray], words: dict[str, str], found: Recognised, units: Sequence[str], with_speed: bool
+) -> None:
+    """The distance [m]: in metres where a vehicle can have driven so, or else as the speed says; it may stay open."""
+    column = found.chosen["distance"].columns[0][:60]
+    if len(units) > 1 and units[0] != "m" and not with_speed:
+        numbers.pop("distance")
+        found.questions["distance"] = (
+            f"is {column} in {', '.join(units)}? Say it with a mapping, such as distance={column}:{units[0]}; if each "
+            f"row is what came since the row before, distance={column}:m/row"
+        )
+        return
+    unit = clear(units, "m")
+    numbers["distance"] = conversion("distance", unit)[0] * numbers["distance"]
+    if unit != "m":
+        words["distance"] = unit
+        found.notes.append(f"`distance` is taken for {unit}: so {column} agrees with its time and its speed")
 
 
 def with_heading(chosen: Mapping[str, Source], stream: Stream, rest: dict[str, FloatArray]) -> str:
@@ -172,7 +205,7 @@ def without_frozen_positions(numbers: dict[str, FloatArray], found: Recognised) 
         float(np.median(each[ways > 0])) if (ways > 0).any() else 0.0 for each in (ways, np.diff(t[first]))
     )
     way = np.abs(driven[last] - driven[first])
-    frozen = pauses(waited, usual_s) & (way > LONGEST_STEP * usual_m) & (way * usual_s > _AGREE * usual_m * waited)
+    frozen = pauses(waited, usual_s) & (way > LONGEST_STEP * usual_m) & (way * usual_s > ALIKE * usual_m * waited)
     if not frozen.any() or usual_s <= 0:
         return
     for begin, end in zip(first[frozen], last[frozen], strict=True):
@@ -230,10 +263,8 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
     if "distance" in numbers:
         counted = total_of(numbers["distance"])
         steps = np.diff(counted[np.isfinite(counted)])
-        resolution = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+        resolution = _resolution(steps)
         counts = min((steps > 0).sum(), (steps < 0).sum()) <= _FALLS * steps.size
-        if made is None:
-            _ask_for_unit(numbers["t"], counted, found.chosen["distance"], name)
         if made is None and not counts:
             raise no_counter(name, "distance", found.chosen["distance"].columns[0], "m")
         unit = "" if made is None else agreement.contradiction(counted, made)
@@ -246,7 +277,7 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
             )
         if made is not None and counts and not unit:
             whole, other = (float(np.nanmax(values, initial=0.0)) for values in (counted, made))
-            if abs(whole - other) > _AGREE * other + resolution:
+            if abs(whole - other) > ALIKE * other + resolution:
                 found.notes.append(f"its distance counts {whole:,.0f} m, where its speed makes {other:,.0f} m")
             counts = bool(found.chosen["distance"].unit) or whole > other / _NO_METRES
         if made is None or (counts and resolution <= 1.0 and not unit):
@@ -261,21 +292,16 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
         found.refuse(name, ("lat", "lon", "x", "y", "distance", "speed"))
 
 
-def _ask_for_unit(t: FloatArray, counted: FloatArray, source: Source, name: str) -> None:
-    """Ask in which unit a distance counts that nothing says, where a vehicle does not drive so many metres."""
-    column = source.columns[0]
-    known = np.isfinite(t) & np.isfinite(counted)
-    if source.unit or column == "distance" or known.sum() < LEAST_ROWS:
-        return
-    mean = float(np.nanmax(counted) / max(np.ptp(t[known]), 1e-9))
-    if 0.0 < mean < agreement.DRIVEN_MPS[0] or mean > _FAST_KMPH / 3.6:
-        raise RunsError.of_run(
-            name,
-            f"{column[:60]} rises by {mean:.3g} a second: in m, km, mi or ft? Say it with a mapping, such "
-            f"as distance={column[:60]}:{'ft' if mean > 1.0 else 'km'}; if each row is what came since the row before, "
-            f"distance={column[:60]}:m/row",
-            column="distance",
-        )
+def _counts(counted: FloatArray) -> bool:
+    """Whether a distance only rises, or only falls, in steps that are small beside the whole."""
+    steps = np.diff(counted[np.isfinite(counted)])
+    return min((steps > 0).sum(), (steps < 0).sum()) <= _FALLS * steps.size and _resolution(steps) <= ALIKE * float(
+        np.nanmax(counted, initial=0.0)
+    )
+
+
+def _resolution(steps: FloatArray) -> float:
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
 def without_null_island(numbers: dict[str, FloatArray]) -> None:

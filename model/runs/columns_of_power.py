@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,86 +10,80 @@ from joulemap.model.errors import RunsError
 from joulemap.model.runs import agreement
 from joulemap.model.runs.agreement import disagreement
 from joulemap.model.runs.candidates import CONFIDENCE, Recognised
-from joulemap.model.runs.column_values import words_of
 from joulemap.model.runs.counters import is_per_row, no_counter, rate_of, total_of
 from joulemap.model.runs.mapping import Source
 from joulemap.model.runs.names import POSSIBLE
 from joulemap.model.runs.table import FloatArray
 from joulemap.model.runs.units import UNITS, conversion, own_unit
+from joulemap.model.runs.unsaid_units import ALIKE, UNSAID, clear, drawn_cost, fitting
 
-_AGREE, _ANOTHER = 0.2, 0.5  # a power differs from voltage times current by less, and one of another part by more
+_ANOTHER = 0.5  # the power of another part differs from voltage times current by more
 
 
-def take_thousandths(
+def take_drawn(
     numbers: dict[str, FloatArray],
-    chosen: Mapping[str, Source],
-    mapping: Mapping[str, str],
     words: dict[str, str],
-    found: Recognised,
-) -> None:
-    """Millivolts and milliamperes that nothing says. Beside millivolts a current may be in anything but amperes."""
-    open_ = {
-        key
-        for key in ("voltage", "current")
-        if key in numbers and not chosen[key].unit and key not in mapping and chosen[key].columns != [key]
-    }
-    there = agreement.thousandths(numbers.get("voltage"), numbers.get("current"))
-    if not open_ >= {*there} or ("current" in open_ and there == ["voltage"]):
-        return
-    for key in there:
-        numbers[key], words[key] = 1e-3 * numbers[key], {"voltage": "mV", "current": "mA"}[key]
-        found.confidence[key] = min(found.confidence[key], CONFIDENCE[POSSIBLE])
-        found.notes.append(f"`{key}` is taken for {words[key]}: in {own_unit(key)} no battery gives so much")
-
-
-def check_power(
-    numbers: dict[str, FloatArray],
-    chosen: Mapping[str, Source],
     mapping: Mapping[str, str],
-    reading: dict[str, str],
     found: Recognised,
     name: str,
 ) -> None:
-    """A power that is not voltage times current is another one, or in another unit."""
-    if "power" not in numbers or "power" in mapping or found.packs:
+    """Voltage, current and power in the units in which they agree best.
+
+    A power that is not voltage times current is another one. Beside millivolts a current may be in anything.
+    """
+    chosen = found.chosen
+    there = {key: numbers[key] for key in ("voltage", "current", "power") if key in numbers and key in chosen}
+    if found.packs or not there:
         return
+
+    def _units(key: str) -> Sequence[str]:
+        own = key != "power" and chosen[key].columns == [key]
+        return [""] if chosen[key].unit or key in mapping or own else UNSAID[key]
+
+    speed = numbers.get("speed")
+    if speed is None and "t" in numbers and (path_m := agreement.path_of(numbers)):
+        speed = np.full(numbers["t"].size, path_m / max(float(np.ptp(numbers["t"])), 1e-9))
+    choices = {key: _units(key) for key in there}
+    fits = fitting(choices, lambda units: drawn_cost(there, units, speed))
+    if fits.get("voltage") == ["mV"] and fits.get("current") == ["A"] and "power" not in there:
+        fits["voltage"] = fits["current"] = [""]
+    for key, units in fits.items():
+        unit = clear(units, choices[key][0])
+        if unit not in ("", own_unit(key)):
+            numbers[key], words[key] = conversion(key, unit)[0] * numbers[key], unit
+            found.confidence[key] = min(found.confidence[key], CONFIDENCE[POSSIBLE])
+            found.notes.append(
+                f"`{key}` is taken for {unit}: so it agrees with the others, and with what vehicles draw"
+            )
+    if "power" in there and "power" not in mapping:
+        _check_power(numbers, chosen["power"], speed if "power" in words else None, found, name)
+
+
+def _check_power(
+    numbers: dict[str, FloatArray], source: Source, speed: FloatArray | None, found: Recognised, name: str
+) -> None:
+    """A power that is not voltage times current is another one, or in another unit than it says."""
+    column = source.columns[0]
     if not {"voltage", "current"} <= numbers.keys():
-        speed = numbers.get("speed")
-        if speed is None and "t" in numbers and (path_m := agreement.path_of(numbers)):
-            took_s = float(np.nanmax(numbers["t"]) - np.nanmin(numbers["t"]))
-            speed = np.full(numbers["t"].size, path_m / max(took_s, 1e-9))
-        unit = "" if chosen["power"].unit or speed is None else agreement.power_unit(numbers["power"], speed)
-        if unit:
-            numbers["power"] = UNITS["power"][unit][0] * numbers["power"]
-            if speed is not None and agreement.drives_nothing(numbers["power"], speed):
-                column = chosen["power"].columns[0][:60]
-                raise RunsError.of_run(
-                    name,
-                    f"nothing in it carries power: {column} is less than the air takes at that speed if it "
-                    "is in W, and as large at rest as while driving if it is in kW. If it is the power all the same, "
-                    f"say its unit with a mapping, such as power={column}:kW",
-                    column="power",
-                )
-            reading["power"] = words_of("power", chosen["power"], unit)
-            found.notes.append(f"`power` is taken for {unit}: in W it would be less than the air takes at that speed")
-            found.confidence["power"] = min(found.confidence["power"], 0.8)
+        if speed is not None and agreement.drives_nothing(numbers["power"], speed):
+            raise RunsError.of_run(
+                name,
+                f"nothing in it carries power: {column[:60]} is less than the air takes at that speed if it "
+                "is in W, and as large at rest as while driving if it is in kW. If it is the power all the same, "
+                f"say its unit with a mapping, such as power={column[:60]}:kW",
+                column="power",
+            )
         return
     product = numbers["voltage"] * numbers["current"]
-    units = {"": 1.0} if chosen["power"].unit else {unit: factor for unit, (factor, _) in UNITS["power"].items()}
-    off = {unit: disagreement(factor * numbers["power"], product) for unit, factor in units.items()}
-    best = min(off, key=lambda unit: off[unit])
-    if not np.isfinite(off[best]):
+    away = disagreement(numbers["power"], product)
+    if not np.isfinite(away):
         return
-    if off[best] <= _AGREE:
-        numbers["power"] = units[best] * numbers["power"]
-        found.confidence["power"] = found.confidence["voltage"] = found.confidence["current"] = 0.99
-        if best not in ("", "W"):
-            reading["power"] = words_of("power", chosen["power"], best)
+    if away <= ALIKE:
+        found.confidence |= dict.fromkeys(("power", "voltage", "current"), 0.99)
         return
-    column, kept = chosen["power"].columns[0], off[best] <= _ANOTHER
     for unit, (factor, _) in UNITS["power"].items():
-        ratio = factor / conversion("power", chosen["power"].unit or "W")[0]
-        if not kept and disagreement(ratio * numbers["power"], product) <= _AGREE:
+        ratio = factor / conversion("power", source.unit or "W")[0]
+        if away > _ANOTHER and disagreement(ratio * numbers["power"], product) <= ALIKE:
             raise RunsError.of_run(
                 name,
                 f"{column[:60]} is {1 / ratio:g} times voltage times current, so the unit of one is "
@@ -97,14 +91,11 @@ def check_power(
                 column="power",
             )
     found.notes.append(
-        f"{column[:60]} is not voltage times current, they differ by {off[best]:.0%} in the median: it is "
-        f"{'taken for the power of the battery' if kept else 'not used'}"
+        f"{column[:60]} is not voltage times current, they differ by {away:.0%} in the median: it is "
+        f"{'taken for the power of the battery' if away <= _ANOTHER else 'not used'}"
     )
-    if kept:
-        return
-    other = numbers.pop("power")
-    numbers[column if column != "power" else "power (not of the battery)"] = other
-    reading.pop("power", None)
+    if away > _ANOTHER:
+        numbers[column if column != "power" else "power (not of the battery)"] = numbers.pop("power")
 
 
 def flows(numbers: Mapping[str, FloatArray]) -> bool:

@@ -12,18 +12,15 @@ from joulemap.model.runs.column_values import numbers_of, read_column, words_of
 from joulemap.model.runs.columns_of_motion import (
     take_degrees,
     take_distance,
-    take_radians,
-    take_speed,
+    take_movement,
     take_wheels,
-    time_of,
     with_heading,
     without_frozen_positions,
     without_null_island,
     without_standing_positions,
 )
-from joulemap.model.runs.columns_of_power import check_power, take_counters, take_thousandths
+from joulemap.model.runs.columns_of_power import take_counters, take_drawn
 from joulemap.model.runs.common_rows import aligned
-from joulemap.model.runs.counters import total_of
 from joulemap.model.runs.formats.columns import DATE
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.mapping import CAPACITY, CONSTANTS, RADIUS, ROW, SIGNS, Source, source_of
@@ -69,25 +66,15 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
     texts: dict[str, str] = {}  # columns of texts
     words: dict[str, str] = {}  # of units that are found out here
     for target, source in chosen.items():
-        if target not in ("t", "speed", "heading"):
+        if target not in ("t", "heading"):
             only = source.columns[0] if len(source.parts) == 1 else ""
             if only in stream.texts and own_unit(target) == "":
                 texts[target] = only
             else:
                 numbers[target], words[target] = read_column(target, source, stream, name, repairs)
     take_degrees(numbers, chosen, words, found)
-    take_thousandths(numbers, chosen, mapping, words, found)
     without_standing_positions(numbers, stream, chosen, found)
-    path_m = agreement.path_of(numbers)
-    if path_m is None and "distance" in numbers:
-        path_m = agreement.counted_m(total_of(numbers["distance"]))
-    if "t" in chosen:
-        known_m = path_m if "distance" not in chosen or chosen["distance"].unit else agreement.path_of(numbers)
-        numbers["t"], words["t"] = time_of(chosen["t"], stream, known_m, name, found)
-    take_radians(numbers, stream, words, found)
-    path_m = agreement.path_of(numbers) if "rad" in words.values() else path_m
-    if "speed" in chosen:
-        take_speed(chosen["speed"], stream, numbers, path_m, name, repairs, found, words)
+    take_movement(numbers, stream, words, found, name)
     volts, amps = (
         [read_column(key, pack[k], stream, name, repairs)[0] for pack in found.packs]
         for k, key in enumerate(("voltage", "current"))
@@ -108,6 +95,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
         numbers, rest, stream_texts = aligned(numbers, rest, dict(stream.texts))
     else:
         stream_texts = dict(stream.texts)
+    take_drawn(numbers, words, mapping, found, name)
     reading = {
         target: words_of(target, source, words.get(target, ""))
         for target, source in chosen.items()
@@ -120,7 +108,6 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
         if agreeing is not None:
             numbers["heading"] = agreeing[0]
             reading["heading"] = f"{open_heading} [{agreeing[1]}]"
-    check_power(numbers, chosen, mapping, reading, found, name)
     take_counters(numbers, reading, found, mapping, name)
     if CAPACITY in said and "t" in numbers:
         numbers[CAPACITY] = np.full(numbers["t"].size, float(said[CAPACITY].unit))
