@@ -146,16 +146,15 @@ def plane(numbers: Mapping[str, FloatArray], t: FloatArray | None = None) -> tup
     return x[known], y[known], t[known]
 
 
-def contradiction(counted: FloatArray, made: FloatArray) -> str:
-    """Return how many times a counted distance is that of the speed, where that is the ratio of two units.
+def contradiction(one: float, other: float) -> str:
+    """Return how many times a way or a speed is another one, where that is the ratio of two units.
 
-    `counted`, `made` (n,): from the first row [m]. Result: such as `3.6`; empty where they agree, or differ otherwise.
+    Result: such as `3.6`; empty where they agree, or differ otherwise.
     """
-    whole, other = (float(np.nanmax(values, initial=0.0)) for values in (counted, made))
-    if whole <= 0 or other <= 0:
+    if one <= 0 or other <= 0:
         return ""
-    near = [each for each in _CONFUSED if abs(abs(np.log(whole / other)) - np.log(each)) < _RATIO]
-    return f"{whole / other:.3g}" if near else ""
+    near = [each for each in _CONFUSED if abs(abs(np.log(one / other)) - np.log(each)) < _RATIO]
+    return f"{one / other:.3g}" if near else ""
 
 
 def air_w(speed: FloatArray) -> float:

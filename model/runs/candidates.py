@@ -68,7 +68,9 @@ def candidates_of(target: str, stream: Stream, taken: Collection[str]) -> list[C
             found.append(each)
     speaking = [each for each in found if each.unit == DATE or speaks(target, stream.numbers[each.column])]
     if target not in ("lat", "lon"):  # nothing but zeros, as receivers without a fix write, is no position
-        speaking = speaking or found
+        speaking = speaking or [
+            each for each in found if target != "power" or np.isfinite(stream.numbers[each.column]).any()
+        ]
     if target in ("lat", "lon", "x", "y", "z"):  # a receiver without a fix writes the same in every row
         speaking = [each for each in speaking if spread(stream.numbers[each.column])] or speaking
     if target == "t" and any(each.sureness for each in speaking):

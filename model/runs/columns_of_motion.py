@@ -21,6 +21,7 @@ from joulemap.model.runs.table import LEAST_ROWS, SIDES, TURNING, FloatArray, sp
 from joulemap.model.runs.units import conversion
 from joulemap.model.runs.unsaid_units import ALIKE, FAST_KMPH, UNSAID, Movement, clear, fitting, off
 
+_ANOTHER = 0.5  # tolerances by which a speed differs from that of the positions, and is in no unit that is known
 _FALLS = 0.05  # of the steps of a counter, which falls where it begins anew
 _NO_METRES = 30.0  # a distance that counts so many times less than the speed makes counts km or miles
 
@@ -116,10 +117,12 @@ def _take_speed(
 ) -> None:
     """The speed [m/s]; with positions one that is not theirs is no speed of the vehicle."""
     column, logged, placed = found.chosen["speed"].columns[0], numbers.pop("speed"), bool(movement.places)
-    unit = clear(units, "?")
-    if placed and unit not in ("", "?") and off(movement.pace(others), conversion("speed", unit)[0]) >= 1.0:
+    unit, pace = clear(units, "?"), movement.pace(others) if placed else 0.0
+    if placed and unit not in ("", "?") and off(pace, conversion("speed", unit)[0]) >= _ANOTHER:
         unit = "?"
-    if unit == "?" and placed and column == "speed":
+    if unit == "" and (times := agreement.contradiction(1.0, pace)):
+        found.notes.append(f"its speed is {times} times that of its positions: is {column[:60]} in the unit it says?")
+    elif unit == "?" and placed and column == "speed" and off(pace, 1.0) < 1.0:
         unit = "m/s"
     elif unit == "?" and not placed and any(words_of(other)[:2] == ["header", "stamp"] for other in stream.numbers):
         unit = "m/s"
@@ -267,7 +270,8 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
         counts = min((steps > 0).sum(), (steps < 0).sum()) <= _FALLS * steps.size
         if made is None and not counts:
             raise no_counter(name, "distance", found.chosen["distance"].columns[0], "m")
-        unit = "" if made is None else agreement.contradiction(counted, made)
+        whole, other = (float(np.nanmax(each, initial=0.0)) for each in (counted, counted if made is None else made))
+        unit = agreement.contradiction(whole, other)
         if unit and found.chosen["distance"].unit and found.chosen["speed"].unit:
             raise RunsError.of_run(
                 name,
@@ -276,7 +280,6 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
                 column="distance",
             )
         if made is not None and counts and not unit:
-            whole, other = (float(np.nanmax(values, initial=0.0)) for values in (counted, made))
             if abs(whole - other) > ALIKE * other + resolution:
                 found.notes.append(f"its distance counts {whole:,.0f} m, where its speed makes {other:,.0f} m")
             counts = bool(found.chosen["distance"].unit) or whole > other / _NO_METRES

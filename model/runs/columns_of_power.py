@@ -56,21 +56,24 @@ def take_drawn(
                 f"`{key}` is taken for {unit}: so it agrees with the others, and with what vehicles draw"
             )
     if "power" in there and "power" not in mapping:
-        _check_power(numbers, chosen["power"], speed if "power" in words else None, found, name)
+        _check_power(numbers, chosen["power"], found, name)
 
 
-def _check_power(
-    numbers: dict[str, FloatArray], source: Source, speed: FloatArray | None, found: Recognised, name: str
-) -> None:
+def _check_power(numbers: dict[str, FloatArray], source: Source, found: Recognised, name: str) -> None:
     """A power that is not voltage times current is another one, or in another unit than it says."""
     column = source.columns[0]
     if not {"voltage", "current"} <= numbers.keys():
+        rising = "t" in numbers and bool((np.diff(numbers["t"]) > 0).all())
+        speed = numbers.get("speed", agreement.speed_of(numbers["t"], numbers) if rising else None)
         if speed is not None and agreement.drives_nothing(numbers["power"], speed):
+            words = f"{column[:60]} is as large at rest as while driving, but for less than the air takes"
+            if source.unit:
+                found.notes.append(f"{words}: was it measured?")
+                return
             raise RunsError.of_run(
                 name,
-                f"nothing in it carries power: {column[:60]} is less than the air takes at that speed if it "
-                "is in W, and as large at rest as while driving if it is in kW. If it is the power all the same, "
-                f"say its unit with a mapping, such as power={column[:60]}:kW",
+                f"nothing in it carries power: {words}. If it is the power all the same, say its unit with a mapping, "
+                f"such as power={column[:60]}:kW; it may be a voltage, voltage={column[:60]}:V",
                 column="power",
             )
         return

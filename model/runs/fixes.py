@@ -40,7 +40,7 @@ def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> 
             "say the unit of its wheel speeds, and which counts backward, with a mapping, like speed_left=velL:m/s,"
             "speed_right=-velR:m/s; `odometry` with the track in metres integrates them to a way"
             if wheels
-            else "a mapping says which they are, like lat=latitude,lon=longitude"
+            else "a mapping says which they are, like speed=v:km/h or lat=latitude,lon=longitude"
         )
         half = next(((one, other) for one, other in _PAIRS if (one in numbers) != (other in numbers)), None)
         lack = "neither 'x' and 'y' nor 'lat' and 'lon', nor a speed or a distance"

@@ -57,6 +57,7 @@ from joulemap.model.runs.table import LEAST_ROWS, LIMITS, SIDES, TURNING, TableL
 from joulemap.model.runs.table_columns import Table
 
 FloatArray = NDArray[np.float64]
+_MANY_ELSEWHERE = 0.2  # of the positions; receivers err less often
 
 
 def read_run(path: str | Path, *, name: str | None = None, **options: Any) -> Run:
@@ -179,6 +180,7 @@ def run_of(
             column="t",
         )
     rows = _ordered_rows(numbers["t"], name, repairs)
+    elsewhere = _elsewhere(numbers, rows)
     numbers = {key: values[rows] for key, values in numbers.items()}
     texts = {key: values[rows] for key, values in texts.items()}
     t = numbers.pop("t")
@@ -194,6 +196,12 @@ def run_of(
     if placed:
         x, y = positions(numbers, name=name, crs=crs)
         x, y, breaks = usable_fixes(t, x, y, numbers.get("gps_error"), repairs)
+        elsewhere += repairs.get("position_jumps", 0)
+        if elsewhere > _MANY_ELSEWHERE * t.size:
+            notes.append(
+                f"{elsewhere:,} of its positions are out of reach of others, or have the time of another, and were not "
+                "used: is it one vehicle, and has each row a time of its own?"
+            )
     else:
         y = numbers.pop("distance")
         x, breaks = np.where(np.isfinite(y), 0.0, np.nan), np.zeros(t.size, dtype=bool)
@@ -275,6 +283,15 @@ def _ordered_rows(t: FloatArray, name: str, repairs: dict[str, int]) -> NDArray[
             row=row,
         )
     return kept
+
+
+def _elsewhere(numbers: Mapping[str, FloatArray], rows: NDArray[np.int64]) -> int:
+    """How many of the rows that are left out have another position than the kept row of their time."""
+    t = numbers["t"]
+    left = np.setdiff1d(np.flatnonzero(np.isfinite(t)), rows)
+    kept = rows[np.minimum(np.searchsorted(t[rows], t[left]), rows.size - 1)]
+    places = [numbers[key] for key in ("x", "y", "lat", "lon") if key in numbers]
+    return int(np.any([np.abs(each[left] - each[kept]) > 0 for each in places], axis=0).sum()) if places else 0
 
 
 @njit(cache=True)

@@ -88,6 +88,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
         for column, values in stream.numbers.items()
         if column not in used | numbers.keys()
         and stream.units.get(column) != DATE  # dates beside the time are no effect
+        and (column != "power" or np.isfinite(values).any())
     }
     without_standing_positions(rest, stream, chosen, found)  # zeros are not recognised as positions
     open_heading = with_heading(chosen, stream, rest)

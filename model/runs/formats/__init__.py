@@ -6,6 +6,7 @@ from joulemap.model.runs.formats.contract import LogFormat
 
 FORMATS = [
     LogFormat("Parquet file", (".parquet",), ".parquet"),
+    LogFormat("Feather file", (".feather", ".arrow"), ".feather"),
     LogFormat("arrays of MATLAB, NumPy or netCDF 3", (".mat", ".npz", ".nc"), ".arrays"),
     LogFormat("MCAP recording", (".mcap",), ".recording:MCAP", "logs"),
     LogFormat("ROS 1 bag", (".bag",), ".recording:ROS1", "logs"),

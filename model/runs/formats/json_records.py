@@ -19,7 +19,7 @@ DEEPEST = 12
 """Setting: how many objects and lists may lie in each other."""
 _ORDERS = {"coordinates": ("lon", "lat", "alt"), **dict.fromkeys(("latlng", "latlon", "lat_lng"), ("lat", "lon"))}
 _BEGINNING = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\{|\[\s*[{\["]|(?:[^\s{}\[\]",;]+ ){1,3}\{ ?")')
-_NAMES = ("name", "target", "key", "type", "field", "signal")
+_NAMES = ("path", "name", "target", "key", "type", "field", "signal")
 _LONGEST_LIST = 16  # a longer list in a record is no reading
 
 
@@ -172,6 +172,12 @@ def _name_of(item: Any) -> str:
     return next((str(words[key]) for key in words if key.rpartition(".")[2].strip("_") in _NAMES), "")
 
 
+def _own_name(item: Any) -> str:
+    """What a record in a list says that it is of, itself and not one of its parts."""
+    words = [item[key] for key in _NAMES if isinstance(item.get(key), str)] if isinstance(item, dict) else []
+    return words[0] if words else ""
+
+
 def _only_list(item: Any) -> Any:
     """The list of a column with remarks, `{"data": [...], "type": "time"}`."""
     lists = [each for each in item.values() if _is_long(each)] if isinstance(item, dict) else []
@@ -192,7 +198,7 @@ def _flat(value: Any, front: str = "", depth: int = 0) -> dict[str, Any]:
         if len(value) > _LONGEST_LIST or depth > DEEPEST:
             return {}
         names = next((axes for word, axes in _ORDERS.items() if f".{front}".endswith(f".{word}")), ())
-        items = [(names[k] if k < len(names) else _name_of(item) or str(k), item) for k, item in enumerate(value)]
+        items = [(names[k] if k < len(names) else _own_name(item) or str(k), item) for k, item in enumerate(value)]
     elif isinstance(value, dict):
         if depth > DEEPEST:
             return {}

@@ -15,7 +15,10 @@ _PAIR = re.compile(
     r"(?<![^\s,;(])([A-Za-z_][\w.\[\]/-]{0,100})(?:\s?[=:]\s?|,\"?)([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
     r"(?:\s|\",)?([A-Za-z%/]*)(?=[\s,;)]|$)"
 )
-_STAMP = re.compile(r"^\s*(?:\[[A-Za-z]+\]\s*)?[(\[]?\s*(\d[\d.:TZ+ -]{5,40}?)\s*[)\],; ]|(?<=\s)(\d{9,19})\s*$")
+_STAMP = re.compile(
+    r"^\s*(?:\[[A-Za-z]+\]\s*)?[(\[]?\s*(\d[\d.:TZ+ -]{5,40}?)\s*[)\],; ]|(?<=\s)(\d{9,19})\s*$|"
+    r"=\"?(\d{4}-\d\d-\d\d[T ]\d\d[\d:.,]+(?:Z|[+-]\d\d:?\d\d)?)"
+)
 _REMARKS = 5  # lines before the first with pairs, as a board says that it starts
 
 
@@ -49,5 +52,5 @@ def _records(lines: list[str], repairs: dict[str, int]) -> Iterator[dict[str, fl
         }
         stamp = _STAMP.search(line)
         if stamp is not None:
-            record.setdefault("time", stamp[1] or stamp[2])
+            record.setdefault("time", stamp[1] or stamp[2] or stamp[3])
         yield record

@@ -44,7 +44,7 @@ def _read(content: bytes, name: str, limits: TableLimits) -> Any:
     about = pq.read_metadata(io.BytesIO(content))
     limits.check(about.num_rows, about.num_columns, name)
     schema = about.schema.to_arrow_schema()
-    plain = [k for k, field in enumerate(schema) if _is_plain(field.type)]
+    plain = [k for k, field in enumerate(schema) if is_plain(field.type)]
     if len(plain) < len(schema) or len(set(schema.names)) < len(schema):
         plain = [k for k in plain if schema.names.count(schema.names[k]) == 1]
     columns = [schema.names[k] for k in plain]
@@ -58,7 +58,7 @@ def _read(content: bytes, name: str, limits: TableLimits) -> Any:
     for batch in file.iter_batches(batch_size=size, use_threads=False, columns=columns):
         batch.validate(full=True)  # Arrow takes places in a dictionary as they are written
         for column, values in zip(batch.schema.names, batch.columns, strict=True):
-            longest = _longest(values)
+            longest = longest_text(values)
             letters[column] = max(letters[column], longest)
             limits.check_texts(about.num_rows, sum(letters.values()), name, column)
             limits.check_texts(len(getattr(values, "dictionary", ())), longest, name, column)
@@ -75,8 +75,8 @@ def _is_text(kind: Any) -> bool:
     return pa.types.is_string(kind) or pa.types.is_large_string(kind)
 
 
-def _is_plain(kind: Any) -> bool:
-    """Whether it is a number, a time or a text."""
+def is_plain(kind: Any) -> bool:
+    """Decide whether a type is a number, a time or a text."""
     import pyarrow as pa
 
     kind = kind.value_type if pa.types.is_dictionary(kind) else kind
@@ -104,8 +104,8 @@ def _check_size(about: Any, name: str, limits: TableLimits) -> None:
         )
 
 
-def _longest(column: Any) -> int:
-    """Letters of the longest text of a column; 0 where it holds no texts."""
+def longest_text(column: Any) -> int:
+    """Return the letters of the longest text of a column; 0 where it holds no texts."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

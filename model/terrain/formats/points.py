@@ -28,6 +28,7 @@ _UNIT = re.compile(r"[\[(][^\])]*[\])]|[_ ](?:m|deg)$")
 _PART_LINES = 1_000_000
 _LONGEST_LINE = 1 << 22
 _MOST_STEPS = 1e9  # of a grid, along a side
+_ROUNDED = 0.1  # of a cell, by which a centre may be off its grid
 _TEXTS = (".xyz", ".txt", ".csv", ".asc", ".dat", ".pts")
 _MOST_OF_A_POINT = 20  # place, colour, normal, and the attributes of LAS; more numbers are a row of heights
 
@@ -169,6 +170,8 @@ def _regular(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:
         if float(values.max()) - float(values.min()) >= _MOST_STEPS * side:
             return None
         if np.abs(steps / side - np.round(steps / side)).max() > 1e-3:
-            return None
+            side = float(steps.mean())  # of centres that are rounded
+            if np.abs(np.cumsum(steps) / side - np.arange(1, steps.size + 1)).max() > _ROUNDED:
+                return None
         sides.append(side)
     return sides[0] if abs(sides[0] - sides[1]) <= SAME_LENGTH * sides[0] else None

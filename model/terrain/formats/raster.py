@@ -212,6 +212,8 @@ def _header(
             "the height of count 0)"
         )
     whole_crs = dataset.crs.to_wkt() if dataset.crs else None
+    if whole_crs is None and {"degrees_north", "degrees_east"} <= {*dataset.tags().values()}:
+        whole_crs = "EPSG:4326"  # the units of the CF conventions
     own = flat_crs(whole_crs) if whole_crs else None
     unit = height_unit(dataset.units[band - 1], whole_crs, what)
     notes = [] if colours is None else [colours.note]
