@@ -13,7 +13,7 @@ from joulemap.model.runs.candidates import CONFIDENCE, Recognised
 from joulemap.model.runs.counters import is_per_row, no_counter, rate_of, total_of
 from joulemap.model.runs.mapping import Source
 from joulemap.model.runs.names import POSSIBLE
-from joulemap.model.runs.table import FloatArray
+from joulemap.model.runs.table import FloatArray, spread
 from joulemap.model.runs.units import UNITS, conversion, own_unit
 from joulemap.model.runs.unsaid_units import ALIKE, UNSAID, clear, drawn_cost, fitting
 
@@ -42,7 +42,7 @@ def take_drawn(
 
     speed = numbers.get("speed")
     if speed is None and "t" in numbers and (path_m := agreement.path_of(numbers)):
-        speed = np.full(numbers["t"].size, path_m / max(float(np.ptp(numbers["t"])), 1e-9))
+        speed = np.full(numbers["t"].size, path_m / max(spread(numbers["t"]), 1e-9))
     choices = {key: _units(key) for key in there}
     fits = fitting(choices, lambda units: drawn_cost(there, units, speed))
     if fits.get("voltage") == ["mV"] and fits.get("current") == ["A"] and "power" not in there:
@@ -63,8 +63,9 @@ def _check_power(numbers: dict[str, FloatArray], source: Source, found: Recognis
     """A power that is not voltage times current is another one, or in another unit than it says."""
     column = source.columns[0]
     if not {"voltage", "current"} <= numbers.keys():
+        placed = {key: each for key, each in numbers.items() if key != "distance"}  # whose steps are coarse
         rising = "t" in numbers and bool((np.diff(numbers["t"]) > 0).all())
-        speed = numbers.get("speed", agreement.speed_of(numbers["t"], numbers) if rising else None)
+        speed = numbers.get("speed", agreement.speed_of(numbers["t"], placed) if rising else None)
         if speed is not None and agreement.drives_nothing(numbers["power"], speed):
             words = f"{column[:60]} is as large at rest as while driving, but for less than the air takes"
             if source.unit:

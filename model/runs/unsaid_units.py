@@ -17,7 +17,7 @@ import numpy as np
 from joulemap.model.ranges import ROBOT
 from joulemap.model.runs.agreement import DRIVEN_MPS, MOST_V, air_w, disagreement, most_amps, path_of, plane
 from joulemap.model.runs.counters import summed
-from joulemap.model.runs.table import FloatArray
+from joulemap.model.runs.table import FloatArray, spread
 from joulemap.model.runs.units import conversion
 
 Units = Mapping[str, str]
@@ -87,7 +87,7 @@ class Movement:
             known["place"] = self._once("way", units["place"], lambda: path_of(self.places[units["place"]]) or 0.0)
         if self.counted is not None:
             known["distance"] = _factor("distance", units) * float(np.nanmax(self.counted, initial=0.0))
-        span, cost = float(np.ptp(self.times[t][np.isfinite(self.times[t])])), float(units.get("speed") == "mph")
+        span, cost = spread(self.times[t]), float(units.get("speed") == "mph")
         for key, way in known.items():
             slow, fast = DRIVEN_MPS
             cost += _WRONG * (not slow * span < way < fast * span)
