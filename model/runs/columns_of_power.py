@@ -32,7 +32,9 @@ def take_drawn(
     A power that is not voltage times current is another one. Beside millivolts a current may be in anything.
     """
     chosen = found.chosen
-    there = {key: numbers[key] for key in ("voltage", "current", "power") if key in numbers and key in chosen}
+    there: dict[str, FloatArray] = {
+        key: numbers[key] for key in ("voltage", "current", "power") if key in numbers and key in chosen
+    }
     if found.packs or not there:
         return
 
