@@ -43,7 +43,7 @@ def load_model(spec: str | Path) -> Predictor:
     """Return a shipped model, or the trained or calibrated model of a folder."""
     if spec in MODEL_NAMES:
         return load_predictor(spec)
-    from joulemap.model.energy.calibrated import CalibratedPredictor  # loads slowly
+    from joulemap.model.loop.calibrated import CalibratedPredictor  # loads slowly
     from joulemap.model.loop.calibration_file import CALIBRATION_FILE, read_calibrated
 
     if not (Path(spec) / CALIBRATION_FILE).is_file():

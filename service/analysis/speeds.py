@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.learned import Learned
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame, wrap_angle
+from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.grid.stopping import check_stop

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.energy.reliability import checked_spread
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import ConflictError, InfeasibleError, InputError
 from joulemap.model.loop.calibrate import CALIBRATED, Calibration, calibrate
+from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.loop.calibration_file import save_calibrated
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.drive_prior import columns_of_rows, fit_drive_prior, prior_of_spread

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from joulemap.model.energy.artifact import read_artifact
-from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.grade import tan_grade
@@ -18,6 +17,7 @@ from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.energy.residuals_of_runs import base_residuals
 from joulemap.model.errors import InputError, ModelError, RunsError
 from joulemap.model.frames import GridFrame
+from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.loop.correction import Correction
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import read_calibration_runs

@@ -12,10 +12,10 @@ from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 import joulemap as jm
-from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import InputError
+from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.loop.correction import Correction
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice.build import build_lattice

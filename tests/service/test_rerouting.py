@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import BlockedError, NoRouteError
 from joulemap.model.frames import GridFrame
 from joulemap.model.loop.calibrate import calibrate
+from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms.baseline_change import HotelLoad
 from joulemap.model.loop.forms.turning import Turning

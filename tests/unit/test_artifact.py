@@ -20,11 +20,11 @@ from joulemap.model.energy.artifact import (
     read_artifact,
     save_artifact,
 )
-from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.domain import Domain, steep_share
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import ModelError
 from joulemap.model.frames import GridFrame
+from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.loop.correction import Correction
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap

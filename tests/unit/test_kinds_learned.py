@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.loop.calibration_file import read_calibrated, save_calibrated
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms.terrain_class import TerrainClass, TurningByClass

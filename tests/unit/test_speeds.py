@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import joulemap as jm
-from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.errors import InputError
+from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.loop.correction import Correction
 from joulemap.model.loop.forms.speed import Speed
 from joulemap.model.loop.terms import Term
