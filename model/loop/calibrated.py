@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,89 +15,19 @@ from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.runs.describe import describe_segments, planned_features
-from joulemap.model.runs.features import Drives, Features, FloatArray
+from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.words import quantity_name, quantity_value
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.layers.kinds import library
 
+if TYPE_CHECKING:  # every plan loads this module, and few need all forms
+    from joulemap.model.loop.correction import Correction
+
 _CHUNK = 400_000  # cells x headings described at a time
 _PLACES = 2000  # of a map, for warnings
 _HEADINGS = np.arange(4) * 0.5 * np.pi
 _OTHER_GROUND = 0.05  # of a map beyond a range: less is not worth a warning
-
-
-class Correction(Protocol):
-    """What a calibration adds to its base model: that of `joulemap.model.loop.correction`, which knows the effects."""
-
-    @property
-    def ranges(self) -> Mapping[str, tuple[float, float]]:
-        """Lowest and highest value of every quantity in the runs."""
-
-    @property
-    def of_laws(self) -> set[str]:
-        """Quantities on which laws of physics depend, which hold beyond the runs."""
-
-    @property
-    def drives(self) -> Drives:
-        """Where the drives coast."""
-
-    @property
-    def charge(self) -> bool:
-        """Whether the base prediction has no scale, so that what is added replaces it."""
-
-    @property
-    def scale(self) -> float:
-        """By which the energy of measured runs is multiplied."""
-
-    @property
-    def planner_scale(self) -> float:
-        """By which the energy of plans is multiplied."""
-
-    @property
-    def turn_j_per_rad(self) -> float:
-        """Cost of turning in plans [J/rad], in addition to the robot's own."""
-
-    @property
-    def turn_by_kind(self) -> Mapping[str, float]:
-        """What is added to that on a kind of ground [J/rad], by name."""
-
-    @property
-    def conditions(self) -> Mapping[str, float]:
-        """Logged columns at which plans are made."""
-
-    @property
-    def spread(self) -> Spread | None:
-        """Error on left-out runs."""
-
-    @property
-    def drive_prior(self) -> Mapping[str, Any] | None:
-        """What is known of a run before it is driven, JSON-able."""
-
-    @property
-    def drivetrain_efficiency(self) -> float | None:
-        """That of the robot of the runs, 0 where it declared none; None where that is not known."""
-
-    @property
-    def effects(self) -> list[dict[str, Any]]:
-        """What is added, JSON-able."""
-
-    @property
-    def kinds(self) -> Mapping[str, float]:
-        """Kinds of ground whose cost the runs showed, and the share of the metres on each."""
-
-    @property
-    def only_in_logs(self) -> list[str]:
-        """Titles of the effects that no plan contains, because only a log records what they depend on."""
-
-    def added_energy(self, rows: Features, *, planned: bool) -> FloatArray:
-        """Return the energy that is added to rows. Result (n,): energy [J], or charge [A s]."""
-
-    def beyond(self, rows: Features) -> dict[str, float]:
-        """Return which quantities of some rows are outside the ranges of the runs.
-
-        Result: share of the rows, by quantity; only shares above 0.
-        """
 
 
 class CalibratedPredictor(Predictor):
