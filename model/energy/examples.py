@@ -16,6 +16,7 @@ from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.robot_features import FEATURES, robot_features
 from joulemap.model.errors import InputError
 from joulemap.model.robot import Robot
+from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
@@ -149,6 +150,39 @@ def cut_examples(
         _kept(driven),
         _kept(beside),
     )
+
+
+def examples_of(
+    heightmap: Heightmap,
+    robot: Robot,
+    segments: Segments,
+    turned_rad: FloatArray,
+    *,
+    run: NDArray[np.int64],
+    architecture: str,
+    size: int | None = None,
+    beside_j: ArrayLike = 0.0,
+) -> list[Examples]:
+    """Make examples of measured segments, once for each row of `turned_rad`, (copies, n); else as `cut_examples`."""
+    payload = np.nan_to_num(segments.extras.get("payload", np.zeros(len(segments))))
+    return [
+        cut_examples(
+            heightmap,
+            robot,
+            segments.x,
+            segments.y,
+            segments.heading_rad,
+            segments.energy_j,
+            run=run,
+            payload_kg=payload,
+            architecture=architecture,
+            size=size,
+            turned_rad=turned,
+            driven_m=segments.driven_m,
+            beside_j=beside_j,
+        )
+        for turned in turned_rad
+    ]
 
 
 def concatenate(parts: Sequence[Examples]) -> Examples:

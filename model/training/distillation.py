@@ -15,18 +15,15 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.architectures import find_architecture
 from joulemap.model.energy.artifact import Artifact, load_artifact, predictor_of, read_artifact, save_artifact
-from joulemap.model.energy.examples import Examples, concatenate, cut_examples
-from joulemap.model.energy.learned import Learned
-from joulemap.model.energy.prediction import Prediction, predict_segments
+from joulemap.model.energy.examples import Examples, concatenate, cut_examples, examples_of
+from joulemap.model.energy.prediction import predict_segments
 from joulemap.model.energy.predictor import Predictor
-from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import InputError, ModelError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.files import read_segments
-from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.training.evaluation import errors
+from joulemap.model.training.evaluation import segment_errors, segment_spread
 from joulemap.model.training.optimisation import TrainingOptions, train_network
 from joulemap.model.training.run_record import runs_record
 
@@ -144,9 +141,12 @@ def distil_on_runs(
             held_out_runs=unseen,
         )
     rng = np.random.default_rng(seed)
-    measured = _measured(knows, heightmap, robot, segments, rng)
+    copies = find_architecture(STUDENT).training.copies
+    turns = np.concatenate([np.zeros((1, len(segments))), rng.uniform(0.0, 2.0 * np.pi, (copies - 1, len(segments)))])
+    beside = knows.drive_energy_j(robot, segments)
+    measured = examples_of(heightmap, robot, segments, turns, run=segments.run, architecture=STUDENT, beside_j=beside)
     taught = ask_teacher(knows, heightmap, robot, count=answers, rng=rng, progress=lambda done: report(_ASKING * done))
-    examples = concatenate([measured, taught])
+    examples = concatenate([*measured, taught])
     result = train_network(
         examples,
         architecture=STUDENT,
@@ -168,8 +168,8 @@ def distil_on_runs(
         int((~np.isin(segments.run, held)).sum()),
         [segments.runs[k] for k in held],
         difference(answers_of, knows, heightmap, robot, count=_JUDGED, seed=seed + 1),
-        _errors(predict_segments(knows, heightmap, robot, judged), judged),
-        _errors(said, judged),
+        segment_errors(predict_segments(knows, heightmap, robot, judged).energy_j, judged),
+        segment_errors(said.energy_j, judged),
     )
     training = {
         "data": "measured runs and a teacher's answers",
@@ -183,41 +183,5 @@ def distil_on_runs(
         "held_out": found.student_held_out,
         **{key: value for key, value in asdict(found).items() if key != "version"},
     }
-    known = np.isfinite(said.energy_j)
-    if known.sum() >= FEWEST and said.std_j is not None:
-        spread = fit_spread(judged.energy_j[known], said.energy_j[known], said.std_j[known], judged.run[known])
-        student = replace(student, spread=spread)
-    return replace(found, version=save_artifact(out, replace(student, training=training)))
-
-
-def _measured(
-    knows: Learned, heightmap: Heightmap, robot: Robot, segments: Segments, rng: np.random.Generator
-) -> Examples:
-    """All segments, as driven and with the world turned by random angles; what costs beside the ground is known."""
-    payload = np.nan_to_num(segments.extras.get("payload", np.zeros(len(segments))))
-    copies = find_architecture(STUDENT).training.copies
-    turns = [np.zeros(len(segments)), *rng.uniform(0.0, 2.0 * np.pi, (copies - 1, len(segments)))]
-    return concatenate(
-        [
-            cut_examples(
-                heightmap,
-                robot,
-                segments.x,
-                segments.y,
-                segments.heading_rad,
-                segments.energy_j,
-                run=segments.run,
-                payload_kg=payload,
-                architecture=STUDENT,
-                turned_rad=turned,
-                driven_m=segments.driven_m,
-                beside_j=knows.drive_energy_j(robot, segments),
-            )
-            for turned in turns
-        ]
-    )
-
-
-def _errors(said: Prediction, segments: Segments) -> dict[str, Any]:
-    known = np.isfinite(said.energy_j)
-    return errors(said.energy_j[known], segments.energy_j[known], segments.run[known])
+    student = replace(student, spread=segment_spread(said, judged), training=training)
+    return replace(found, version=save_artifact(out, student))

@@ -6,15 +6,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.energy.metrics import LEAST_J, relative_errors
-from joulemap.model.energy.prediction import joined, predict_segments
+from joulemap.model.energy.prediction import Prediction, joined, predict_segments
 from joulemap.model.energy.predictor import Predictor
-from joulemap.model.energy.uncertainty import LEVELS, Spread
+from joulemap.model.energy.uncertainty import FEWEST, LEVELS, Spread, fit_spread
 from joulemap.model.errors import InputError
+from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.sites import Site, read_sites
 from joulemap.model.training.run_record import seen_runs
+
+FloatArray = NDArray[np.float64]
 
 
 def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[str, Any]:
@@ -60,6 +63,20 @@ def named(found: Mapping[str, Any], runs: Sequence[str]) -> dict[str, Any]:
     }
 
 
+def segment_errors(said_j: FloatArray, segments: Segments) -> dict[str, Any]:
+    """Return the errors on the segments that a prediction knows, (n,) [J], with runs named."""
+    known = np.isfinite(said_j)
+    return named(errors(said_j[known], segments.energy_j[known], segments.run[known]), segments.runs)
+
+
+def segment_spread(said: Prediction, segments: Segments) -> Spread:
+    """Return the spread of predictions around segments that they had not seen; the usual one where these are few."""
+    known = np.isfinite(said.energy_j)
+    if said.std_j is None or known.sum() < FEWEST:
+        return Spread()
+    return fit_spread(segments.energy_j[known], said.energy_j[known], said.std_j[known], segments.run[known])
+
+
 def coverage(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, spread: Spread) -> dict[str, float]:
     """Count how many measured segments are inside the predicted intervals.
 
@@ -91,7 +108,7 @@ def evaluate_on_sites(predictor: Predictor, sites: Sequence[Site], *, charge: bo
         ]
     )
     known = np.isfinite(said.energy_j)
-    found = named(errors(said.energy_j[known], segments.energy_j[known], segments.run[known]), segments.runs)
+    found = segment_errors(said.energy_j, segments)
     covered = None
     if said.std_j is not None:
         covered = coverage(segments.energy_j[known], said.energy_j[known], said.std_j[known], predictor.spread)

@@ -16,7 +16,7 @@ from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.artifact import Artifact, predictor_of
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
-from joulemap.model.energy.examples import Examples, concatenate, cut_examples
+from joulemap.model.energy.examples import Examples, concatenate, examples_of
 from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.prediction import predict_segments
 from joulemap.model.energy.shape_features import shape_features
@@ -25,7 +25,7 @@ from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.sites import SiteRuns
 from joulemap.model.training.baselines import baseline_predictions
 from joulemap.model.training.cost_regression import CostFit, CostRows, fit_costs
-from joulemap.model.training.evaluation import errors, named
+from joulemap.model.training.evaluation import segment_errors
 from joulemap.model.training.optimisation import TrainingOptions, averaged, choose_held_out, train_network
 
 FloatArray = NDArray[np.float64]
@@ -46,7 +46,7 @@ class Judged:
     index: NDArray[np.int64]  # (n,): Which segments of the training
     segments: Segments  # The same
     energy_j: FloatArray  # (n,): Predicted; NaN on unknown ground
-    std_j: FloatArray | None  # (n,): Its standard deviation [J]
+    std_j: FloatArray  # (n,): Its standard deviation [J]
     traction_per_m: FloatArray  # (n,): Of the ground [J/m]
     costs: DriveCosts  # Of all runs: what the model keeps
     beside_j: FloatArray  # (n,): Declared energy of idle power and turning, which is in `energy_j` [J]
@@ -59,7 +59,7 @@ class Judged:
         return replace(
             self,
             energy_j=self.beside_j + factor * (self.energy_j - self.beside_j),
-            std_j=None if self.std_j is None else factor * self.std_j,
+            std_j=factor * self.std_j,
             traction_per_m=factor * self.traction_per_m,
             costs=self.costs.scaled(factor),
         )
@@ -89,8 +89,10 @@ class FoldFits:
         self.examples, self._index, self.known = self._cut()
         self.domain = self._domain(parent)
         self._rows = self._cost_rows(parent)
-        self._said: list[tuple[NDArray[np.int64], FloatArray, FloatArray | None, FloatArray]] = []
-        self._simple: list[tuple[NDArray[np.int64], dict[str, FloatArray]]] = []  # what simple models predict
+        # what was said of segments, (n,), by fits that had not seen them, and by simple models
+        self._energy, self._std, self._traction = (np.full(len(measured.segments), np.nan) for _ in range(3))
+        self._simple: dict[str, FloatArray] = {}
+        self._held = np.zeros(len(measured.segments), dtype=np.bool_)
 
     def artifact(self, net: Network, costs: DriveCosts) -> Artifact:
         """Make a model of a network."""
@@ -137,30 +139,14 @@ class FoldFits:
 
     def judged(self) -> Judged:
         """Return what fits said of the parts that they had not seen, with the costs of all runs."""
-        index = np.concatenate([mine for mine, *_ in self._said])
-        order = np.argsort(index)
-        energy, traction = (np.concatenate([said[k] for said in self._said])[order] for k in (1, 3))
-        stds = [said[2] for said in self._said if said[2] is not None]
-        std = np.concatenate(stds)[order] if len(stds) == len(self._said) else None
-        segments = self.measured.segments.take(index[order])
-        beside = self._declared_j()[index[order]]
-        return Judged(index[order], segments, energy, std, traction, fit_costs(self._rows).costs, beside)
+        index, costs = np.flatnonzero(self._held), fit_costs(self._rows).costs
+        said = self._energy[index], self._std[index], self._traction[index]
+        return Judged(index, self.measured.segments.take(index), *said, costs, self._declared_j()[index])
 
-    def baseline_errors(self, known: NDArray[np.bool_]) -> dict[str, dict[str, Any]]:
-        """Return the errors of simple models on the segments of `judged`.
-
-        `known` (n,): which of them the networks know. Result: as `evaluation.errors`, by model.
-        """
-        index = np.concatenate([mine for mine, _ in self._simple])
-        order = np.argsort(index)
-        segments = self.measured.segments.take(index[order])
-        found = {}
-        for name in self._simple[0][1]:
-            energy = np.concatenate([simple[name] for _, simple in self._simple])[order]
-            both = known & np.isfinite(energy)
-            if both.any():
-                found[name] = named(errors(energy[both], segments.energy_j[both], segments.run[both]), segments.runs)
-        return found
+    def baseline_errors(self, judged: Judged) -> dict[str, dict[str, Any]]:
+        """Return the errors of simple models on the segments that networks were judged on, by model."""
+        simple = {name: np.where(judged.known, energy[judged.index], np.nan) for name, energy in self._simple.items()}
+        return {name: segment_errors(said, judged.segments) for name, said in simple.items() if np.isfinite(said).any()}
 
     def forget(self) -> None:
         """Remove the state of trainings that were cut off."""
@@ -174,27 +160,14 @@ class FoldFits:
         n = len(segments)
         angles = np.random.default_rng([self.seed, n]).uniform(0.0, 2.0 * math.pi, (copies - 1, n))
         turns = np.concatenate([np.zeros((1, n)), angles])
-        seen = []
+        seen: list[Examples] = []
         for number, site in enumerate(self.measured.sites):
             mine = self.measured.on(number)
             s = segments.take(mine)
-            for turned in turns[:, mine]:
-                seen.append(
-                    cut_examples(
-                        site.ground,
-                        site.robot,
-                        s.x,
-                        s.y,
-                        s.heading_rad,
-                        s.energy_j,
-                        run=mine,
-                        payload_kg=np.nan_to_num(s.extras.get("payload", np.zeros(len(s)))),
-                        architecture=self.kind.name,
-                        size=self.patch_size,
-                        turned_rad=turned,
-                        driven_m=s.driven_m,
-                    )
-                )
+            kind = self.kind.name
+            seen += examples_of(
+                site.ground, site.robot, s, turns[:, mine], run=mine, architecture=kind, size=self.patch_size
+            )
         known = sum(len(part) for part in seen[:: turns.shape[0]])  # corners of turned squares may be off the map
         if known == 0:
             raise InputError(f"none of the {n} segments lies on ground that the heightmap knows", segments=n)
@@ -261,7 +234,8 @@ class FoldFits:
         fitted = fit_costs(self._rows.take(~out))
         simple = baseline_predictions(self._rows, self.shapes, ~out)
         simple[NOT_TUNED] = fitted.predict_j(self._rows.take(out))
-        self._simple.append((np.flatnonzero(out), simple))
+        for name, said in simple.items():
+            self._simple.setdefault(name, np.full(len(out), np.nan))[out] = said
         if self.start is None:
             return fitted, None
         return fitted, self.kind.adapted(self.start, level=fitted.level, climb=fitted.climb, shape=fitted.shape)
@@ -277,12 +251,14 @@ class FoldFits:
         return replace(self.examples, beside_j=beside[self._index].astype(np.float32))
 
     def _judge(self, net: Network, parts: Sequence[int], fitted: CostFit) -> None:
-        predictor = predictor_of(self.artifact(net, fitted.costs))
+        predictor, held = predictor_of(self.artifact(net, fitted.costs)), np.isin(self.part, parts)
+        self._held |= held
         for k, site in enumerate(self.measured.sites):
-            mine = np.flatnonzero(np.isin(self.part, parts) & (self.measured.site == k))
+            mine = np.flatnonzero(held & (self.measured.site == k))
             if mine.size:
                 said = predict_segments(predictor, site.ground, site.robot, self.measured.segments.take(mine))
-                self._said.append((mine, said.energy_j, said.std_j, said.traction_per_m))
+                self._energy[mine], self._traction[mine] = said.energy_j, said.traction_per_m
+                self._std[mine] = np.nan if said.std_j is None else said.std_j
 
     def _checkpoint(self, fold: int) -> Path:
         return self.out / f"{fold}.{CHECKPOINT}"

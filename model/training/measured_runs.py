@@ -14,12 +14,12 @@ from joulemap.model.energy.architectures.contract import Architecture, check_sta
 from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.artifact import Artifact, read_artifact, save_artifact
 from joulemap.model.energy.mean_level import MeanLevel, mean_level
+from joulemap.model.energy.prediction import Prediction
 from joulemap.model.energy.residuals_of_runs import keep_base_runs
-from joulemap.model.energy.uncertainty import FEWEST, Spread, fit_spread
 from joulemap.model.errors import InputError
 from joulemap.model.runs.record import RECORD_FILE
 from joulemap.model.runs.sites import Site, read_sites
-from joulemap.model.training.evaluation import errors, named
+from joulemap.model.training.evaluation import segment_errors, segment_spread
 from joulemap.model.training.fold_fits import NOT_TUNED, FoldFits
 from joulemap.model.training.model_card import card_of_runs
 from joulemap.model.training.optimisation import TrainingOptions
@@ -136,18 +136,11 @@ def train_on_sites(
     elif not level.agrees:
         level = replace(level, factor=1.0)
     costs = judged.costs
-    held_out = named(
-        errors(judged.energy_j[known], judged.segments.energy_j[known], judged.segments.run[known]),
-        measured.segments.runs,
-    )
-    spread = Spread()
-    if known.sum() >= FEWEST and judged.std_j is not None:
-        spread = fit_spread(
-            judged.segments.energy_j[known], judged.energy_j[known], judged.std_j[known], judged.segments.run[known]
-        )
+    held_out = segment_errors(judged.energy_j, judged.segments)
+    said = Prediction(judged.energy_j, judged.std_j, judged.traction_per_m)
     segments, robot = measured.segments, sites[0].robot
     names = [segments.runs[int(k)] for k in np.unique(judged.segments.run)]
-    baselines = fits.baseline_errors(known)
+    baselines = fits.baseline_errors(judged)
     warnings = _warnings(held_out, baselines, sites)
     if not mapped:
         warnings.append("the runs have no map: in this model the shape of the ground, beyond its slope, costs nothing")
@@ -177,7 +170,7 @@ def train_on_sites(
         "started_from": str(learner.start_from or learner.backbone or ""),
         "base_runs": kept,
     }
-    artifact = replace(fits.artifact(net, costs), spread=spread, training=training)
+    artifact = replace(fits.artifact(net, costs), spread=segment_spread(said, judged.segments), training=training)
     version = save_artifact(out, artifact)
     card = card_of_runs(version, training, fits.domain, costs)
     (out / CARD_FILE).write_text(card, encoding="utf-8")
