@@ -74,20 +74,18 @@ def fit(
     """
     rows, first, scale = base_step(rows, new)
     design = make_design(rows, new, first)
-    selection = select(design, with_unnamed=False, progress=progress)
+    named = [c for c in design.candidates if not isinstance(c.form, UNNAMED)]
+    selection = select(design, named, progress=progress)
     base_terms = selection.estimate([])[-1]
-    settled = _settled(selection)
-    if settled is selection:  # nothing with a name moves the rest
-        selection = select(design, progress=progress)
-        settled = _settled(selection)
-    if settled is not selection:
-        selection = select(settled.design)
-        selection = selection.settled(selection.chosen)
+    faults = [c for c in selection.chosen if isinstance(c.form, LogFault)]  # until they are known, all else is moved
+    settled = selection.settled(faults or selection.chosen)
+    selection = select(settled.design, design.candidates, () if faults else selection.taken)
+    selection = selection.settled(selection.chosen)
     estimate, index, terms = selection.estimate(selection.chosen)
     effects, (low, high) = [], estimate.interval()
-    for candidate, verdict in zip(selection.chosen, selection.verdicts, strict=True):
-        own = np.isin(index, candidate.tested)
-        term = Term(candidate.form, tuple(estimate.coefficients[own].tolist()))
+    for verdict in selection.taken:
+        own = np.isin(index, verdict.candidate.tested)
+        term = Term(verdict.candidate.form, tuple(estimate.coefficients[own].tolist()))
         effects.append(Effect(term, low[own], high[own], verdict.p_value, verdict.gain, verdict.between))
     fixed = np.isin(index, selection.design.fixed)
     planned = [c for c in selection.chosen if c.form.known_before or isinstance(c.form, LogFault)]
@@ -103,8 +101,3 @@ def fit(
     simple = simple_models(rows.take(np.flatnonzero(new)))
     ends = low[fixed], high[fixed]
     return Fitted(selection, *ends, ranked, correction, base_terms, in_logs, scale, simple, run_share)
-
-
-def _settled(selection: Selection) -> Selection:
-    faults = [c for c in selection.chosen if isinstance(c.form, LogFault)]  # until they are known, all else is moved
-    return selection.settled(faults or selection.named or selection.chosen)

@@ -1,7 +1,7 @@
-"""Which effects the runs show: forward selection by left-out runs, each candidate with a p-value of its own.
+"""Which effects the runs show: stepwise selection by left-out runs, each candidate with a p-value of its own.
 
-Steps 4 to 7 and 10 of docs/explanation/calibration.md, and Hastie, Tibshirani & Friedman 2009, sections 3.3.2 (forward
-stepwise selection) and 7.10 (one-standard-error rule).
+References: docs/explanation/calibration.md; Hastie, Tibshirani & Friedman 2009, sections 3.3.2 (stepwise selection) and
+7.10 (one-standard-error rule).
 """
 
 from __future__ import annotations
@@ -34,37 +34,41 @@ MOST_EFFECTS = 8
 
 
 class Verdict(NamedTuple):
-    """What the runs say of a candidate beside the chosen ones."""
+    """What the runs say of a candidate beside chosen ones."""
 
+    candidate: Candidate
     p_value: float  # allowing for every test
     gain: float  # reduction of the left-out error, as a share of the error without it
-    gains: FloatArray  # (units,), the reduction by unit
     between: bool  # whether the levels of runs show it more clearly than their course
     why_not: str = ""  # why it cannot be taken; empty where it can
 
-
-_UNASKED = Verdict(1.0, 0.0, np.zeros(0), False, "not asked")
+    @property
+    def name(self) -> str:
+        """That of its effect."""
+        return self.candidate.form.name
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
     """What was chosen."""
 
-    chosen: tuple[Candidate, ...]  # in the order in which they were taken
-    named: tuple[Candidate, ...]  # before those without a name were asked
-    verdicts: tuple[Verdict, ...]  # of each chosen one beside the others
+    taken: tuple[Verdict, ...]  # on each chosen candidate beside the others
     design: Design
-    alone: list[Verdict]  # of every candidate beside the base parameters
-    last: list[Verdict]  # of every candidate beside the chosen ones
+    alone: tuple[Verdict, ...]  # on every candidate beside the base parameters
+    last: tuple[Verdict, ...]  # on every candidate beside the chosen ones
     model: MixedModel  # all columns under the variation around the chosen ones
 
     @property
-    def best(self) -> dict[str, int]:
-        """The candidate of the smallest p-value for each name, beside the base parameters."""
-        out: dict[str, int] = {}
-        for k in sorted(range(len(self.alone)), key=lambda k: (self.alone[k].p_value, -self.alone[k].gain)):
-            out.setdefault(self.design.candidates[k].form.name, k)
-        return out
+    def chosen(self) -> list[Candidate]:
+        """The chosen candidates."""
+        return [verdict.candidate for verdict in self.taken]
+
+    @property
+    def by_name(self) -> dict[str, tuple[Verdict, Verdict]]:
+        """What was said, alone and last, of the candidate of the smallest p-value alone, for each name."""
+        pairs = zip(self.alone, self.last, strict=True)
+        ranked = sorted(pairs, key=lambda pair: (pair[0].p_value, -pair[0].gain), reverse=True)
+        return {pair[0].name: pair for pair in ranked}
 
     @cached_property
     def rivals(self) -> dict[str, list[str]]:
@@ -74,14 +78,13 @@ class Selection:
         now = self.design.index(self.chosen)
         tau2 = self.model.tau2(now)
         error = self.model.left_out(now, tau2)
-        names = {c.form.name for c in self.chosen}
-        every = zip(self.design.candidates, self.alone, strict=True)
-        possible = [c for c, verdict in every if verdict.p_value <= ALPHA and c.form.name not in names]
+        names = {verdict.name for verdict in self.taken}
+        possible = [v for v in self.alone if v.p_value <= ALPHA and v.name not in names]
         out = {}
         for effect in self.chosen:
             others = self.design.index([c for c in self.chosen if c is not effect])
-            more = ((c, self.model.left_out(np.append(others, c.both), tau2) - error) for c in possible)
-            out[effect.form.name] = list(dict.fromkeys(c.form.name for c, gains in more if within_one_error(gains)))
+            more = ((v, self.model.left_out(np.append(others, v.candidate.both), tau2) - error) for v in possible)
+            out[effect.form.name] = list(dict.fromkeys(v.name for v, gains in more if within_one_error(gains)))
         return {name: rivals for name, rivals in out.items() if rivals}
 
     def estimate(
@@ -143,50 +146,37 @@ def within_one_error(gains: FloatArray) -> bool:
     return float(gains.sum()) <= float(gains.std(ddof=1)) * np.sqrt(gains.size)
 
 
-def select(design: Design, *, with_unnamed: bool = True, progress: Callable[[float], None] | None = None) -> Selection:
-    """Choose effects; none where none is significant. `progress` is called with the share that is done, 0..1.
+def select(
+    design: Design,
+    asked: Sequence[Candidate],
+    start: Sequence[Verdict] = (),
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Selection:
+    """Choose effects among some candidates by stepwise selection (Efroymson 1960).
 
-    with_unnamed : also ask those without a name, for what the others leave.
+    start : the choice to begin with. `progress` is called with the share that is done, 0..1.
     """
-    chosen: list[Candidate] = []
-    between: dict[str, bool] = {}
-    seen: set[frozenset[int]] = set()
-    model = fit_model(design, _largest(design))
-
-    def _judge(candidates: Sequence[Candidate]) -> list[Verdict]:
-        return [_verdict(design, model, c, [o for o in chosen if o is not c], between) for c in candidates]
-
-    def _judge_all(*, unnamed: bool) -> list[Verdict]:
-        asked = [unnamed or not isinstance(c.form, UNNAMED) for c in design.candidates]
-        return [_judge([c])[0] if ask else _UNASKED for c, ask in zip(design.candidates, asked, strict=True)]
-
-    alone = verdicts = _judge_all(unnamed=with_unnamed)
-    for unnamed in (False, True)[: 1 + with_unnamed]:  # what has no name is asked what remains
-        if unnamed and chosen:
-            verdicts = _judge_all(unnamed=True)
-        while len(chosen) < MOST_EFFECTS and (best := _best(design, verdicts, chosen, unnamed=unnamed)) is not None:
-            taken = design.candidates[best]
-            at = next((k for k, c in enumerate(chosen) if c.form.name == taken.form.name), len(chosen))
-            parts = _missing_parts(design, taken, chosen)
-            chosen[at : at + 1] = [taken, *parts]
-            between |= dict.fromkeys([c.form.name for c in (taken, *parts)], verdicts[best].between)
-            verdicts = _judge_all(unnamed=unnamed)
-            if (now := frozenset(map(id, chosen))) in seen:  # two forms of one effect that take turns
-                break
-            seen.add(now)
-            if progress is not None:
-                progress(len(chosen) / (MOST_EFFECTS + 1))
-        if not unnamed:
-            named = tuple(chosen)
-    final = _judge(chosen)
-    while chosen:
-        worst = max(range(len(chosen)), key=lambda k: (bool(final[k].why_not), final[k].p_value))
-        needed = {name for c in chosen for name in c.form.parts}
-        if not final[worst].why_not or chosen[worst].form.name in needed:
-            break
-        chosen.pop(worst)
-        final, verdicts = _judge(chosen), _judge_all(unnamed=with_unnamed)
-    return Selection(tuple(chosen), named, tuple(final), design, alone, verdicts, fit_model(design, chosen))
+    model, chosen, gone = fit_model(design, _largest(design)), list(start), set[int]()
+    alone = tuple(_verdict(design, model, candidate, []) for candidate in asked)
+    while True:
+        own = [_verdict(design, model, v.candidate, [o for o in chosen if o is not v]) for v in chosen]
+        needed = {name for v in chosen for name in v.candidate.form.parts}
+        if failed := [k for k, verdict in enumerate(own) if verdict.why_not and verdict.name not in needed]:
+            gone.add(id(chosen.pop(max(failed, key=lambda k: own[k].p_value)).candidate))
+            continue
+        last = tuple(_verdict(design, model, candidate, chosen) for candidate in asked) if chosen else alone
+        gone |= {id(verdict.candidate) for verdict in chosen}  # what was dropped is not taken again
+        able = [verdict for verdict in last if not verdict.why_not and id(verdict.candidate) not in gone]
+        if not able or len(chosen) >= MOST_EFFECTS:
+            return Selection(tuple(own), design, alone, last, fit_model(design, [v.candidate for v in chosen]))
+        best = max(able, key=lambda verdict: verdict.gain)
+        parts = _missing_parts(design, best.candidate, chosen)
+        chosen = [v for v in chosen if v.name != best.name] + [
+            best._replace(candidate=c) for c in (best.candidate, *parts)
+        ]
+        if progress is not None:
+            progress(len(chosen) / (MOST_EFFECTS + 1))
 
 
 def _largest(design: Design) -> list[Candidate]:
@@ -203,27 +193,23 @@ def _largest(design: Design) -> list[Candidate]:
     return list(out.values())
 
 
-def _verdict(
-    design: Design, model: MixedModel, candidate: Candidate, chosen: Sequence[Candidate], between: dict[str, bool]
-) -> Verdict:
+def _verdict(design: Design, model: MixedModel, candidate: Candidate, chosen: Sequence[Verdict]) -> Verdict:
     """Test one candidate beside the chosen ones. Half of the error of the first kind goes to each family of tests."""
-    nothing = np.zeros(model.units)
-    now = design.index(chosen)
-    replaced = any(c.form.name == candidate.form.name for c in chosen)
-    chosen = [c for c in chosen if c.form.name != candidate.form.name]  # another form of one effect takes its place
-    parts = _missing_parts(design, candidate, chosen)
-    if len(parts) < len(set(candidate.form.parts) - {c.form.name for c in chosen}):
-        return Verdict(1.0, 0.0, nothing, False, f"it needs {' and '.join(candidate.form.parts)} beside it")
-    tested = _tested([candidate, *parts])
-    beside = np.concatenate([design.index(chosen), candidate.beside, *(c.beside for c in parts)])
-    levels = _tested([c for c in chosen if between[c.form.name]])
+    now = design.index([v.candidate for v in chosen])
+    others = [v for v in chosen if v.name != candidate.form.name]  # another form of one effect takes its place
+    parts = _missing_parts(design, candidate, others)
+    if len(parts) < len(set(candidate.form.parts) - {v.name for v in others}):
+        return Verdict(candidate, 1.0, 0.0, False, f"it needs {' and '.join(candidate.form.parts)} beside it")
+    tested = np.concatenate([c.tested for c in (candidate, *parts)])
+    beside = np.concatenate([design.index([v.candidate for v in others]), *(c.beside for c in (candidate, *parts))])
+    levels = np.concatenate([now[:0], *(v.candidate.tested for v in others if v.between)])
     inside, across = model.test_within(tested, beside), model.test_between(tested, beside, levels)
     whole = across < inside
     in_time = isinstance(candidate.form, Change)  # whether the robot changed is another question than what it lacks
     tests = sum(isinstance(c.form, Change) == in_time for c in design.candidates)
     p_value = min(1.0, 2.0 * tests * min(inside, across))
     if p_value > ALPHA:
-        return Verdict(p_value, 0.0, nothing, whole, "not significant")
+        return Verdict(candidate, p_value, 0.0, whole, "not significant")
     both = np.append(beside, tested)
     tau2 = model.tau2(both)
     without = model.left_out(now, tau2)
@@ -235,20 +221,16 @@ def _verdict(
     why_not = ""
     if within_one_error(gains):
         why_not = "its gain on left-out runs is within one standard error of none"
-    elif gain < LEAST_GAIN and not replaced:
+    elif gain < LEAST_GAIN and len(others) == len(chosen):
         why_not = f"it explains less than {LEAST_GAIN:.0%} of the error on left-out runs"
     elif not _physical(design, model, candidate, beside):
         why_not = "its coefficient has an impossible sign or size"
-    return Verdict(p_value, gain, gains, whole, why_not)
+    return Verdict(candidate, p_value, gain, whole, why_not)
 
 
-def _tested(candidates: Sequence[Candidate]) -> IntArray:
-    return np.concatenate([np.zeros(0, dtype=np.int64), *(c.tested for c in candidates)])
-
-
-def _missing_parts(design: Design, candidate: Candidate, chosen: Sequence[Candidate]) -> list[Candidate]:
+def _missing_parts(design: Design, candidate: Candidate, chosen: Sequence[Verdict]) -> list[Candidate]:
     """The main effects that an interaction brings with it: the first variant of each that is not chosen yet."""
-    known = {c.form.name for c in chosen}
+    known = {v.name for v in chosen}
     return [design.first_of[n] for n in candidate.form.parts if n not in known and n in design.first_of]
 
 
@@ -260,10 +242,3 @@ def _physical(design: Design, model: MixedModel, candidate: Candidate, beside: I
         return True
     free = model.coefficients(every, *np.full((2, every.size), [[-np.inf], [np.inf]]))[: low.size]
     return bool(np.all((free >= low) & (free <= high)))
-
-
-def _best(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Candidate], *, unnamed: bool) -> int | None:
-    """The candidate of the largest gain that is not chosen yet."""
-    asked = [k for k, c in enumerate(design.candidates) if unnamed or not isinstance(c.form, UNNAMED)]
-    able = [k for k in asked if not verdicts[k].why_not and not any(design.candidates[k] is c for c in chosen)]
-    return max(able, key=lambda k: verdicts[k].gain, default=None)

@@ -102,22 +102,20 @@ def _effect(found: Calibration, effect: Effect) -> dict[str, Any]:
 
 
 def _candidates(found: Calibration) -> list[dict[str, Any]]:
-    selection = found.fitted.selection
-    every = selection.design.candidates
-    taken = [c.form.name for c in selection.chosen]
+    taken = [verdict.name for verdict in found.fitted.selection.taken]
     out = []
-    for name, k in selection.best.items():
-        verdict, last = selection.alone[k], selection.last[k]
+    for name, (alone, last) in found.fitted.selection.by_name.items():
+        form = alone.candidate.form
         row: dict[str, Any] = {
             "name": name,
-            "label": every[k].form.title,
-            "p_value": verdict.p_value,
-            "held_out_gain": verdict.gain if math.isfinite(verdict.gain) else None,
+            "label": form.title,
+            "p_value": alone.p_value,
+            "held_out_gain": alone.gain if math.isfinite(alone.gain) else None,
             "taken": name in taken,
-            "reveals": every[k].form.reveals,
+            "reveals": form.reveals,
         }
         if name not in taken:
-            row["why_not"] = verdict.why_not or f"beside the effects found, {last.why_not or 'not significant'}"
+            row["why_not"] = alone.why_not or f"beside the effects found, {last.why_not or 'not significant'}"
         out.append(row)
     order = {name: k for k, name in enumerate(taken)}
     return sorted(out, key=lambda row: (order.get(row["name"], len(order)), row["p_value"]))
@@ -126,9 +124,8 @@ def _candidates(found: Calibration) -> list[dict[str, Any]]:
 def _remaining(found: Calibration) -> dict[str, Any]:
     """What is left beside the effects: the smallest p-value of any candidate, and the spread on left-out runs."""
     selection = found.fitted.selection
-    names = {c.form.name for c in selection.chosen}
-    others = zip(selection.last, selection.design.candidates, strict=True)
-    p_values = [v.p_value for v, candidate in others if candidate.form.name not in names]
+    names = {verdict.name for verdict in selection.taken}
+    p_values = [verdict.p_value for verdict in selection.last if verdict.name not in names]
     moving = found.residuals.moving
     after = found.held_out["after"][moving]
     away = found.residuals.measured[moving] - after

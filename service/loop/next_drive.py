@@ -87,8 +87,7 @@ def next_drive(
 
     Result: the best of a few hundred simple routes.
     """
-    selection = found.fitted.selection
-    forms = {key: selection.design.candidates[k].form for key, k in selection.best.items()}
+    forms = {key: alone.candidate.form for key, (alone, _) in found.fitted.selection.by_name.items()}
     forms |= {e.term.form.name: e.term.form for e in found.effects}
     name = next((key for key, form in forms.items() if effect in (key, form.title)), effect) or _least_certain(found)
     if name not in forms:

@@ -40,11 +40,6 @@ from tests.loop.generators.logs import Log
 from tests.loop.parallel import Row, rows_of
 
 
-def _together() -> AbstractContextManager[Any]:
-    best = selection._best
-    return patch.object(selection, "_best", lambda *given, unnamed: best(*given, unnamed=True))
-
-
 def _one_row(columns: design.Design, _around: variation.Variation) -> FloatArray:
     return np.ones(columns.columns.shape[1])
 
@@ -67,10 +62,10 @@ RULES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
     "the standard error of a gain": lambda: patch.object(
         selection, "within_one_error", lambda gains: gains.sum() <= 0.0
     ),
-    "forms with a name first": _together,
+    "forms with a name first": lambda: patch.object(procedure, "UNNAMED", ()),
     "structure without a name": lambda: patch.object(design, "UNNAMED", ()),
     "forces of effects": lambda: patch.object(Features, "resisted_by", lambda rows, _added: rows),
-    "effects chosen once more": lambda: patch.object(procedure, "_settled", lambda found: found),
+    "effects chosen once more": lambda: patch.object(selection.Selection, "settled", lambda found, _kept: found),
     "limits of sign and size": lambda: patch.object(selection, "_physical", lambda *_given: True),
 }
 """How each rule is taken away, by what is taken away."""

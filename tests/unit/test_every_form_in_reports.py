@@ -95,10 +95,10 @@ class Runs:
             candidates=(candidate,),
         )
 
-        def select(design, **_):
-            verdict = [Verdict(1e-12, 0.2, np.zeros(4), False)]
+        def select(design, *_, **__):
+            verdicts = tuple(Verdict(candidate, 1e-12, 0.2, False) for candidate in design.candidates)
             model = _design.fit_model(design, design.candidates, self.variation)
-            return Selection(design.candidates, design.candidates, tuple(verdict), design, verdict, verdict, model)
+            return Selection(verdicts, design, verdicts, verdicts, model)
 
         with monkeypatch.context() as patch:
             patch.setattr(_procedure, "base_step", lambda *_: self.base_step)
@@ -114,14 +114,8 @@ class Runs:
         one, two = (self.found(form, monkeypatch) for form in forms)
         a, b = (found.fitted.selection for found in (one, two))
         every = (*a.chosen, *b.chosen)
-        selection = replace(
-            a,
-            chosen=every,
-            verdicts=(*a.verdicts, *b.verdicts),
-            alone=[*a.alone, *b.alone],
-            last=[*a.last, *b.last],
-            design=replace(a.design, candidates=every),
-        )
+        every_verdict = {name: (*getattr(a, name), *getattr(b, name)) for name in ("taken", "alone", "last")}
+        selection = replace(a, **every_verdict, design=replace(a.design, candidates=every))
         vars(selection)["rivals"] = {every[0].form.name: [every[1].form.name]}  # a cached property
         correction = one.fitted.correction
         terms, planned = (
