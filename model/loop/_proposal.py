@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from joulemap.model.energy.route_errors import STRETCHES, stretches_of
+from joulemap.model.energy.route_errors import stretches_of
 from joulemap.model.loop.forms.simple_costs import SimpleCosts
 from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import FloatArray
@@ -34,22 +34,16 @@ def proposed(rows: Residuals, said: Mapping[str, FloatArray], fold: IntArray) ->
     """Return which prediction plans use, and what each fold, (n,), is predicted with by the choice of the others.
 
     said : left-out predictions, (n,), by name. What counts is what plans are made of: the energy of routes of 20 to
-    160 m and of whole runs with their stops. Each is weighted as if the errors of metres were independent, and every
-    length counts alike in every fold.
+    160 m and of whole runs with their stops, each weighted as if the errors of metres were independent. Folds count
+    alike.
     """
-    routes = list(_routes(rows, fold))
-    of, cell, count = np.unique(
-        [(fold[route[0]], length) for length, route in routes], axis=0, return_inverse=True, return_counts=True
-    )
-    metres = np.array([max(int(rows.moving[route].sum()), 1) for _, route in routes])
-    folds, number = np.unique(of[cell.ravel(), 0], return_inverse=True)
+    folds = np.unique(fold)
+    routes = [list(_routes(rows, fold == one)) for one in folds]
 
-    def _errors(name: str) -> FloatArray:
-        away = rows.measured - said[name]
-        squares = np.array([away[route].sum() for _, route in routes]) ** 2 / metres / count[cell.ravel()]
-        return np.bincount(number, weights=squares).astype(np.float64)
+    def _errors(away: FloatArray) -> list[float]:
+        return [float(np.mean([away[route].sum() ** 2 / route.size for route in mine])) for mine in routes]
 
-    errors = np.stack([_errors(name) for name in _PREDICTIONS])  # (predictions, folds)
+    errors = np.array([_errors(rows.measured - said[name]) for name in _PREDICTIONS])  # (predictions, folds)
 
     def _best(errors: FloatArray) -> str:
         least = int(np.argmin(errors.sum(axis=1)))
@@ -71,10 +65,9 @@ def surely_positive(gains: FloatArray) -> bool:
     return float(gains.sum()) > least
 
 
-def _routes(rows: Residuals, fold: IntArray) -> Iterator[tuple[int, IntArray]]:
-    """Length in metres and rows of each route; 0 metres for a whole run, or as much of it as is in one fold."""
-    for one, run in np.unique(np.stack([fold, rows.run]), axis=1).T:
-        whole = np.flatnonzero((fold == one) & (rows.run == run))
-        driven = whole[rows.moving[whole]]
-        yield from ((len(part), part) for part in stretches_of(driven) if len(part) in STRETCHES)
-        yield 0, whole
+def _routes(rows: Residuals, mine: NDArray[np.bool_]) -> Iterator[IntArray]:
+    """Rows of each route in some rows, (n,), and of each run, or as much of it as is there."""
+    for run in np.unique(rows.run[mine]):
+        whole = np.flatnonzero(mine & (rows.run == run))
+        yield from stretches_of(whole[rows.moving[whole]])
+        yield whole
