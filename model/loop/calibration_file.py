@@ -29,8 +29,7 @@ def save_calibrated(folder: str | Path, correction: Correction, base: Mapping[st
     path = Path(folder) / CALIBRATION_FILE
     if path.exists():
         raise ConflictError(f"{path} is there already: a model version is never changed", path=str(path))
-    written = {field.name: _plain(getattr(correction, field.name)) for field in fields(correction)}
-    content = {"format": FORMAT, "base": dict(base), **written}
+    content = json.loads(json.dumps({"format": FORMAT, "base": dict(base), **vars(correction)}, default=_plain))
     version = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps({"version": version, **content}, indent=2, allow_nan=False) + "\n", encoding="utf-8")
@@ -62,14 +61,10 @@ def read_calibrated(folder: str | Path) -> tuple[Correction, dict[str, Any], str
 
 
 def _plain(value: Any) -> Any:
-    """A value of a correction, JSON-able."""
-    if hasattr(value, "as_dict"):
-        return value.as_dict()
-    if isinstance(value, tuple | list):
-        return [_plain(part) for part in value]
+    """A part of a correction that JSON does not know."""
     if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
-    return asdict(value) if isinstance(value, Drives) else value
+        return dict(value)
+    return value.as_dict() if hasattr(value, "as_dict") else asdict(value)
 
 
 def _read(values: Mapping[str, Any]) -> Correction:
