@@ -7,11 +7,12 @@ these are what an engineer writes down first: length, climb, turned angle, and t
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.loop.calibrate import Calibration, calibrate
@@ -24,6 +25,7 @@ from joulemap.service.loop.measured import measure
 from tests.coverage.real import cuadriga, drive, real_folder
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 Read = Callable[[Path], tuple[CalibrationRuns, list[str]]]
 
 
@@ -61,6 +63,17 @@ def least_squares(rows: Residuals, fold: NDArray[np.int64], count: int) -> Float
     return out
 
 
+def combined(rows: Residuals, said: Mapping[str, FloatArray], names: Sequence[str], fold: IntArray) -> FloatArray:
+    """The convex combination of predictions that errs least on the metres of all other folds (stacking), (n,)."""
+    columns, out = np.stack([said[name] for name in names], axis=1), np.full(len(rows), np.nan)
+    for k in np.unique(fold):
+        known = rows.moving & (fold != k)
+        sure = 1e3 * np.linalg.norm(columns[known])  # that the weights sum to one
+        tall = np.vstack([columns[known], np.full(len(names), sure)])
+        out[fold == k] = columns[fold == k] @ nnls(tall, np.append(rows.measured[known], sure))[0]
+    return out
+
+
 def rmse(rows: Residuals, said: FloatArray, mine: NDArray[np.bool_] | bool = True) -> float:
     """Root mean square error over metres."""
     return float(np.sqrt(np.mean((rows.measured - said)[rows.moving & mine] ** 2)))
@@ -70,6 +83,10 @@ def lines_of(name: str, found: Calibration, fold: NDArray[np.int64]) -> list[str
     """Errors of all predictions, the run that became worst, and the sum of the predictions."""
     rows, held, runs = found.residuals, found.held_out, np.unique(found.residuals.run)
     said = held | {"three columns": least_squares(rows, fold, 3), "four columns": least_squares(rows, fold, 4)}
+    said |= {
+        "all four, combined": combined(rows, held, ("after_planner", "least_squares", "constant", "before"), fold),
+        "plan time and before, combined": combined(rows, held, ("after_planner", "before"), fold),
+    }
     cells = {f"{name} left out": f"{np.sqrt(np.mean(rows.measured[rows.moving] ** 2)):.4g}"}
     cells |= {key: f"{rmse(rows, energy):.4g}" for key, energy in said.items()}
     for key in ("after", "after_planner", "proposed"):
