@@ -26,6 +26,7 @@ from joulemap.model.training.optimisation import TrainingOptions
 from joulemap.model.training.run_record import runs_record
 
 CARD_FILE = "MODEL_CARD.md"
+_RECORDED = ("held_out_runs", "held_out", "baselines", "coverage", "warnings", "stopped_by_held_out", "epochs")
 
 
 @dataclass(frozen=True)
@@ -151,32 +152,8 @@ def train_on_sites(
     kept = None
     if len(sites) == 1 and all(run.has_energy for run in measured.runs) and not charge:
         kept = keep_base_runs(out, sites[0].ground, robot, judged.segments, judged.traction_per_m, judged.energy_j)
-    training = {
-        "data": "measured runs",
-        "data_hash": fits.examples.data_hash,
-        "heightmap": sites[0].heightmap.data_hash,
-        "heightmaps": [site.heightmap.data_hash for site in sites],
-        "robot": robot.as_dict(),
-        **runs_record(measured.runs),
-        "held_out_runs": names,
-        "held_out": held_out,
-        "mean": level.as_dict(),
-        "baselines": baselines,
-        "coverage": segments.coverage(),
-        "warnings": warnings,
-        "stopped_by_held_out": not crossed,
-        "seed": learner.seed,
-        "epochs": passes,
-        "started_from": str(learner.start_from or learner.backbone or ""),
-        "base_runs": kept,
-    }
-    artifact = replace(fits.artifact(net, costs), spread=segment_spread(said, judged.segments), training=training)
-    version = save_artifact(out, artifact)
-    card = card_of_runs(version, training, fits.domain, costs)
-    (out / CARD_FILE).write_text(card, encoding="utf-8")
-    fits.forget()
-    return TrainedModel(
-        version,
+    found = TrainedModel(
+        "",
         fits.known,
         list(segments.runs),
         names,
@@ -191,6 +168,25 @@ def train_on_sites(
         segments.coverage(),
         warnings,
     )
+    training = {
+        "data": "measured runs",
+        "data_hash": fits.examples.data_hash,
+        "heightmap": sites[0].heightmap.data_hash,
+        "heightmaps": [site.heightmap.data_hash for site in sites],
+        "robot": robot.as_dict(),
+        **runs_record(measured.runs),
+        **{name: getattr(found, name) for name in _RECORDED},
+        "mean": level.as_dict(),
+        "seed": learner.seed,
+        "started_from": str(learner.start_from or learner.backbone or ""),
+        "base_runs": kept,
+    }
+    artifact = replace(fits.artifact(net, costs), spread=segment_spread(said, judged.segments), training=training)
+    version = save_artifact(out, artifact)
+    card = card_of_runs(version, training, fits.domain, costs)
+    (out / CARD_FILE).write_text(card, encoding="utf-8")
+    fits.forget()
+    return replace(found, version=version)
 
 
 def _without_shape(kind: Architecture[Any], start: Network | None) -> Network:
