@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -153,36 +154,13 @@ def cut_examples(
 
 
 def examples_of(
-    heightmap: Heightmap,
-    robot: Robot,
-    segments: Segments,
-    turned_rad: FloatArray,
-    *,
-    run: NDArray[np.int64],
-    architecture: str,
-    size: int | None = None,
-    beside_j: ArrayLike = 0.0,
+    heightmap: Heightmap, robot: Robot, segments: Segments, turned_rad: FloatArray, **given: Any
 ) -> list[Examples]:
-    """Make examples of measured segments, once for each row of `turned_rad`, (copies, n); else as `cut_examples`."""
-    payload = np.nan_to_num(segments.extras.get("payload", np.zeros(len(segments))))
-    return [
-        cut_examples(
-            heightmap,
-            robot,
-            segments.x,
-            segments.y,
-            segments.heading_rad,
-            segments.energy_j,
-            run=run,
-            payload_kg=payload,
-            architecture=architecture,
-            size=size,
-            turned_rad=turned,
-            driven_m=segments.driven_m,
-            beside_j=beside_j,
-        )
-        for turned in turned_rad
-    ]
+    """Make examples of measured segments, once for each row of `turned_rad`, (copies, n); `given` as `cut_examples`."""
+    s = segments
+    given |= {"payload_kg": np.nan_to_num(s.extras.get("payload", np.zeros(len(s)))), "driven_m": s.driven_m}
+    places = s.x, s.y, s.heading_rad, s.energy_j
+    return [cut_examples(heightmap, robot, *places, turned_rad=turned, **given) for turned in turned_rad]
 
 
 def concatenate(parts: Sequence[Examples]) -> Examples:
