@@ -67,8 +67,10 @@ class Selection:
     def by_name(self) -> dict[str, tuple[Verdict, Verdict]]:
         """What was said, alone and last, of the candidate of the smallest p-value alone, for each name."""
         pairs = zip(self.alone, self.last, strict=True)
-        ranked = sorted(pairs, key=lambda pair: (pair[0].p_value, -pair[0].gain), reverse=True)
-        return {pair[0].name: pair for pair in ranked}
+        out: dict[str, tuple[Verdict, Verdict]] = {}
+        for alone, last in sorted(pairs, key=lambda pair: (pair[0].p_value, -pair[0].gain)):
+            out.setdefault(alone.name, (alone, last))
+        return out
 
     @cached_property
     def rivals(self) -> dict[str, list[str]]:
