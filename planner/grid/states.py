@@ -17,20 +17,19 @@ from joulemap.planner.grid.buckets import (
     Terms,
     TileState,
     empty_ring,
-    search_cells,
+    search_states,
 )
 from joulemap.planner.grid.stopping import check_stop, stop_flag
-from joulemap.planner.grid.traces import trace
-from joulemap.planner.grid.turning_search import SEED, search_headings
+from joulemap.planner.grid.traces import states_before, trace
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.moves import MoveTable
 from joulemap.planner.pricing.tiles import Tiles, reserved
 
 _SLACK = 1e-12
 """Relative gain that counts as rounding where prices may be negative, so that no loop goes on for ever."""
-CELL_WIDTH, _TURN_WIDTH = 1 / 16, 0.6
-"""Width of a bucket in typical prices, and with turning the share of a full turn that it spans. Any width gives the
-same energies; bounds of a coarse level rise by nearly what a move costs, so that wide buckets settle cells again."""
+CELL_WIDTH = 1 / 16
+"""Width of a bucket in typical prices. Any width gives the same energies; bounds of a coarse level rise by nearly what a
+move costs, so that wide buckets settle cells again."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,11 +61,6 @@ class Search:
     backward: bool
     tiles: Tiles | None = None
     opened: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
-
-    @property
-    def least_j(self) -> NDArray[np.float64]:
-        """Least energy over the headings of each cell [J]: float64, (cells,)."""
-        return self.energy_j if self.layers == 1 else self.energy_j.reshape(-1, self.layers).min(axis=1)
 
     def open(self, tile: int) -> None:
         """Make the labels of a tile, once: nothing in it was reached.
@@ -110,8 +104,7 @@ class Search:
         Parameters
         ----------
         open_only : bool, default False
-            Whether to leave out those from which a search that ended early has not to go on; with several layers it
-            has to from all.
+            Whether to leave out those from which a search that ended early has not to go on.
 
         Returns
         -------
@@ -122,11 +115,10 @@ class Search:
             parts = [self.reached_in(int(tile), open_only=open_only) for tile in np.flatnonzero(self.opened)]
             return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
         reached = self.energy_j < np.inf
-        if self.layers > 1:
-            return np.unique(np.flatnonzero(reached) // self.layers)
         if open_only:
             reached &= self.pred < SETTLED
-        return np.flatnonzero(reached)
+        states = np.flatnonzero(reached)
+        return states if self.layers == 1 else np.unique(states // self.layers)
 
     def seed(self, cells: NDArray[np.int64], cost: NDArray[np.float64]) -> None:
         """Set the energy of some cells where that is less than they have.
@@ -142,7 +134,7 @@ class Search:
             states = slice(cell * self.layers, (cell + 1) * self.layers)
             less = joined < self.energy_j[states]
             self.energy_j[states][less] = joined[less]
-            self.pred[states][less] = SEED
+            self.pred[states][less] = 0
 
     def trace(self, table: MoveTable, last: int) -> NDArray[np.int64]:
         """Return the states from one state back to the seed that it was reached from.
@@ -160,6 +152,23 @@ class Search:
             `last` first; for a backward search the way on to the goal.
         """
         return trace(self.pred, last, table.jump, self.layers, self.backward)
+
+    def before(self, table: MoveTable, states: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the states that some were reached from.
+
+        Parameters
+        ----------
+        table : MoveTable
+            The moves of the search.
+        states : ndarray of int, (n,)
+            The states.
+
+        Returns
+        -------
+        ndarray of int, (n,)
+            -1 for a seed.
+        """
+        return states_before(self.pred, states, table.jump, self.layers, self.backward)
 
 
 def layer_count(lattice: CostLattice, table: MoveTable) -> int:
@@ -221,15 +230,10 @@ def run_search(
         table.near_j,
         table.gap_j,
     )
-    width = CELL_WIDTH * table.typical_j
-    if layers > 1:
-        width = table.typical_j + _TURN_WIDTH * float(table.gap_j.sum())
-    terms = Terms(table.energy.shape[1], width, 0.0 if table.never_pays else _SLACK, search.backward)
-    aim = Aim(targets, rest, margin, most, np.empty(0) if spent is None else spent.least_j, budget)
-    if layers > 1:
-        ring = search_headings(search.energy_j, search.pred, moves, aim, guide, terms, first, empty_ring(), stop_flag())
-        check_stop()
-        return ring.last, ring.total, ring.expanded
+    width, slack = CELL_WIDTH * table.typical_j, 0.0 if table.never_pays else _SLACK
+    terms = Terms(table.energy.shape[1], layers, width, slack, search.backward)
+    aim = Aim(targets, rest, margin, most, np.empty(0) if spent is None else spent.energy_j, budget)
+    first = (first[:, None] * layers + np.arange(layers)).ravel()
     state, ring = TileState(np.empty(0, np.uint8), np.empty(0), np.empty(0, np.int64), 0, 0, 0.0), empty_ring()
     tiles = table.tiles
     if tiles is not None:
@@ -237,7 +241,7 @@ def run_search(
         ready, parked = np.zeros(tiles.count, np.uint8), np.full(tiles.count, np.inf)
         state = TileState(ready, parked, tiles.used, tiles.shift, tiles.across, table.typical_j)
     while True:
-        ring = search_cells(search.energy_j, search.pred, moves, state, aim, guide, terms, first, ring, stop_flag())
+        ring = search_states(search.energy_j, search.pred, moves, state, aim, guide, terms, first, ring, stop_flag())
         check_stop()
         if ring.wanted < 0 or tiles is None:
             return ring.last, ring.total, ring.expanded

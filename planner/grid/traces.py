@@ -1,4 +1,4 @@
-"""The way by which a search came to a state, with or without turning: read from its codes."""
+"""The way by which a search came to a state: read from its codes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 from numba import njit
 
 from joulemap.planner.grid.buckets import SETTLED
-from joulemap.planner.grid.turning_search import DROVE, TURNED_RIGHT
 
 CODE = SETTLED - 1
 """The bits of `pred` that say how a state was reached; 0 for a seed."""
@@ -16,20 +15,25 @@ CODE = SETTLED - 1
 def state_before(pred, state, jump, layers, backward):
     """Return the state that one was reached from, -1 for a seed.
 
-    `pred` (states,): codes as `search_cells` or, where `layers` is not 1, `search_headings` left them; `jump` (N,):
-    step of each move in flat indices.
+    `pred` (states,): codes as `search_states` left them; `jump` (N,): step of each move in flat indices.
     """
     code = np.int64(pred[state]) & CODE
     if code == 0:
         return -1
-    way = 1 if backward else -1
-    if layers == 1:
-        return state + way * jump[code - 1]
+    if code <= jump.size:
+        return state + (1 if backward else -1) * jump[code - 1] * layers
     heading = state % layers
-    if code == DROVE:
-        return state + way * jump[heading] * layers
-    other = heading - 1 if code == TURNED_RIGHT else heading + 1
+    other = heading - 1 if code == jump.size + 1 else heading + 1
     return state - heading + (other + layers) % layers
+
+
+@njit(cache=True, nogil=True)
+def states_before(pred, states, jump, layers, backward):
+    """Return the states that some (n,) were reached from, as `state_before`: (n,)."""
+    out = np.empty(states.size, dtype=np.int64)
+    for k in range(states.size):
+        out[k] = state_before(pred, states[k], jump, layers, backward)
+    return out
 
 
 @njit(cache=True, nogil=True)

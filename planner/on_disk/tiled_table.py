@@ -58,7 +58,7 @@ def tiled_table(
         heading_of(moves.offsets[:, 1], -moves.offsets[:, 0]),
         length_m,
         tiles.energy,
-        np.zeros((len(length_m), len(length_m))),
+        np.zeros(len(length_m)),
         tiles.surface,
         coarse.shares[order],
         least[order],

@@ -39,8 +39,8 @@ class MoveTable:
         Heading [rad, clockwise from north] and length [m] of each move.
     energy : ndarray of float32, (rows, cols, N)
         Energy of the move that leaves a cell [J]; NaN where it may not be driven.
-    turn_j : ndarray of float64, (N, N)
-        Energy of turning from one move's heading (row) to another's (column) [J].
+    gap_j : ndarray of float64, (N,)
+        Energy of turning from each move's heading to the next one's, clockwise [J].
     surface : ndarray of float64, (rows, cols)
         What a rise is counted on [J]: weight times elevation, smoothed (see `potential`).
     rise_share : ndarray of float64, (B,)
@@ -67,7 +67,7 @@ class MoveTable:
     heading_rad: NDArray[np.float64]
     length_m: NDArray[np.float64]
     energy: NDArray[np.float32]
-    turn_j: NDArray[np.float64]
+    gap_j: NDArray[np.float64]
     surface: NDArray[np.float64]
     rise_share: NDArray[np.float64]
     bound_per_m: NDArray[np.float64]
@@ -87,11 +87,6 @@ class MoveTable:
     def reach(self) -> int:
         """Rows or columns that the longest move spans."""
         return int(np.abs(self.offsets).max())
-
-    @property
-    def gap_j(self) -> NDArray[np.float64]:
-        """Energy of turning from each move's heading to the next one's, clockwise: (N,) [J]."""
-        return np.append(np.diagonal(self.turn_j, 1), self.turn_j[-1, 0])
 
     @cached_property
     def typical_j(self) -> float:
@@ -117,7 +112,7 @@ def distance_table(table: MoveTable) -> MoveTable:
     flat, penalty = np.zeros(1), MARGIN_PENALTY * table.length_m if table.near.size else table.near_j
     return replace(
         table,
-        turn_j=np.zeros_like(table.turn_j),
+        gap_j=np.zeros_like(table.gap_j),
         rise_share=flat,
         bound_per_m=flat + 1.0,
         metric=True,
@@ -181,13 +176,13 @@ def table_of(
     """
     headings = heading_of(offsets[:, 1], -offsets[:, 0])
     length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * spacing_m
-    turn = turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
+    gap = turn_j_per_rad * np.abs(wrap_angle(np.roll(headings, -1) - headings))
     flat, surface = both(  # most of the surface is found on one thread
         lambda: spare_bounds(energy, offsets, length_m, lifted, RISE_SHARES[:1]),
         lambda: even_surface(energy, offsets, length_m, lifted),
     )
     bounds = np.append(flat, spare_bounds(energy, offsets, length_m, surface, RISE_SHARES[1:]))
-    return MoveTable(offsets, headings, length_m, energy, turn, surface, RISE_SHARES, bounds)
+    return MoveTable(offsets, headings, length_m, energy, gap, surface, RISE_SHARES, bounds)
 
 
 def repriced(table: MoveTable, lattice: CostLattice, window: tuple[int, int, int, int]) -> MoveTable:

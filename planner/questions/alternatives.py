@@ -1,6 +1,6 @@
 """Alternative routes from a start to a goal: each locally as good as the best, none a small variation of another.
 
-Plateaus (Jones 2007; Abraham et al. 2013, "Alternative routes in road networks"): a stretch of moves that both the
+Plateaus (Jones 2007; Abraham et al. 2013, "Alternative routes in road networks"): stretches of moves that both the
 least-energy tree from the start and the one towards the goal use. The path start - plateau - goal follows least-energy
 paths into the plateau, along it and out of it, so no detour shorter than the plateau makes it cheaper. Both trees are
 energy fields, and all plateaus are found in them at once.
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from joulemap.planner.any_angle.best import improved
 from joulemap.planner.grid.fields import field_from, field_towards
-from joulemap.planner.grid.plateaus import plateaus
 from joulemap.planner.grid.search import GridPath, grid_search, joined_points
+from joulemap.planner.grid.states import Search
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import Points, path_price
 from joulemap.planner.pricing.moves import MoveTable
@@ -51,9 +51,9 @@ def alternative_paths(
         return found
     separation_m = _separation_m(lattice, best.points)
     ahead, behind = field_from(lattice, table, start).search, field_towards(lattice, table, goal[None]).search
-    states, via, length, _ = plateaus(ahead, behind, table, np.flatnonzero(behind.energy_j < np.inf))
-    good = (length >= LEAST_PLATEAU * best.energy_j) & (via <= STRETCH * best.energy_j)
-    states, via, length = states[good], via[good], length[good]
+    states, length = _plateaus(ahead, behind, table, STRETCH * best.energy_j)
+    states, length = (of[length >= LEAST_PLATEAU * best.energy_j] for of in (states, length))
+    via = ahead.energy_j[states] + behind.energy_j[states]
     away_m = _metres_from(lattice, best.points)
     for k in np.argsort(via - length, kind="stable"):  # long plateaus first
         into = ahead.trace(table, int(states[k]))[::-1] // ahead.layers
@@ -66,6 +66,21 @@ def alternative_paths(
             break
         away_m = np.minimum(away_m, _metres_from(lattice, found[-1].points))
     return sorted(found, key=lambda path: path.energy_j)
+
+
+def _plateaus(
+    ahead: Search, behind: Search, table: MoveTable, most_j: float
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The first state of each plateau through which a path costs at most some energy, and the plateaus' energies [J]."""
+    states = np.flatnonzero(ahead.energy_j + behind.energy_j <= most_j)
+    onward = behind.before(table, states)  # -1 at the goal
+    at = np.minimum(np.searchsorted(states, onward), states.size - 1)
+    shared = (states[at] == onward) & (ahead.before(table, states[at]) == states)
+    end = np.where(shared, at, np.arange(states.size))
+    begins = np.flatnonzero(shared & ~np.isin(np.arange(states.size), at[shared]))
+    while not np.array_equal(further := end[end], end):
+        end = further
+    return states[begins], ahead.energy_j[states[end[begins]]] - ahead.energy_j[states[begins]]
 
 
 def improved_ways(lattice: CostLattice, best: Points, others: Sequence[Points]) -> list[Points]:

@@ -17,7 +17,6 @@ from joulemap.planner.grid.heuristics import guide_everywhere
 from joulemap.planner.grid.search import GridPath, terminals
 from joulemap.planner.grid.states import run_search
 from joulemap.planner.grid.traces import CODE, state_before
-from joulemap.planner.grid.turning_search import DROVE, SEED
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import Points
 from joulemap.planner.pricing.moves import move_table, repriced
@@ -110,7 +109,7 @@ class Replanner:
         changed = changed.reshape(-1, len(table.offsets))
         lost = _cut_off(search.energy_j, search.pred, changed, table.jump, layers)
         search.energy_j[lost] = np.inf
-        search.pred[lost] = SEED
+        search.pred[lost] = 0
         first = _around(lost, changed, table.jump, layers)
         for cells, cost in after:  # a goal's own cells may have been reached at less by way of another's
             search.seed(cells, cost)
@@ -169,10 +168,9 @@ def _cut_off(energy, pred, changed, jump, layers):
         at = state
         while fate[at] == 0:
             code, following = np.int64(pred[at]) & CODE, state_before(pred, at, jump, layers, True)
-            move = code - 1 if layers == 1 else at % layers
             if following < 0:
                 fate[at] = 1
-            elif (layers == 1 or code == DROVE) and changed[at // layers, move] == 2:
+            elif code <= jump.size and changed[at // layers, code - 1] == 2:
                 fate[at] = 2
             else:
                 way[depth] = at
