@@ -48,31 +48,31 @@ def bent(prices, points, step, direction):
     memory, turn_j_per_rad = heading_memory(prices.traction.shape[2]), prices.turn_j_per_rad
     chosen = np.zeros(legs + 1, dtype=np.int64)
     around = 1 if direction == ON_LINE else 2  # elsewhere the sides of a vertex's neighbours turn with it
-    set_sides(points, side, direction, 0, legs + 1)
+    _set_sides(points, side, direction, 0, legs + 1)
     for _ in range(SWEEPS):
         for k in range(legs):
             if stale[k]:
-                price_leg(memory, prices, points, side, k, step, cost)
+                _price_leg(memory, prices, points, side, k, step, cost)
                 stale[k] = False
         if turn_j_per_rad > 0.0:
             gain = _choose_with_turns(turn_j_per_rad, points, side, step, cost, chosen)
         else:
-            gain = choose(cost, chosen)
+            gain = _choose(cost, chosen)
         if not gain > 0.0:
             break
         for i in range(1, legs):
             if chosen[i] != 0:
                 stale[max(i - around, 0) : i + around] = True
-                points[i, 0], points[i, 1] = shifted(points, side, i, chosen[i], step)
+                points[i, 0], points[i, 1] = _shifted(points, side, i, chosen[i], step)
         if direction != ON_LINE:
             for k in range(legs):
                 if stale[k]:
-                    set_sides(points, side, direction, k, k + 2)
+                    _set_sides(points, side, direction, k, k + 2)
     return points
 
 
 @bare_njit(cache=True)
-def set_sides(points, side, direction, first, end):
+def _set_sides(points, side, direction, first, end):
     """Fill the unit vectors (n, 2) of the shifts of the vertices from `first` to `end` - 1."""
     n = points.shape[0]
     for i in range(first, end):
@@ -91,27 +91,27 @@ def set_sides(points, side, direction, first, end):
 
 
 @bare_njit(cache=True)
-def shifted(points, side, i, shift, step):
+def _shifted(points, side, i, shift, step):
     """Vertex i after a shift: 0 stay, 1 and 2 to either side."""
     move = step * _SIGN[shift]
     return points[i, 0] + move * side[i, 0], points[i, 1] + move * side[i, 1]
 
 
 @bare_njit(cache=True)
-def price_leg(memory, prices, points, side, k, step, cost):
+def _price_leg(memory, prices, points, side, k, step, cost):
     """Fill cost[k]: energies of leg k [J] for all shifts of its ends; infinite where it may not be driven."""
     least_leg = LEAST_LEG if prices.turn_j_per_rad > 0.0 else 0.0
     for a in range(1 if k == 0 else SHIFTS):
-        row0, col0 = shifted(points, side, k, a, step)
+        row0, col0 = _shifted(points, side, k, a, step)
         for b in range(1 if k == cost.shape[0] - 1 else SHIFTS):
-            row1, col1 = shifted(points, side, k + 1, b, step)
+            row1, col1 = _shifted(points, side, k + 1, b, step)
             price = driven_leg_energy(memory, prices, (row0, col0, row1, col1), math.inf)
             short = (a != 0 or b != 0) and math.hypot(row1 - row0, col1 - col0) < least_leg
             cost[k, a, b] = math.inf if short or math.isnan(price) else price
 
 
 @njit(cache=True)
-def choose(cost, chosen):
+def _choose(cost, chosen):
     """Fill the cheapest shifts; what they gain [J], 0 where that is within the tolerance."""
     legs = cost.shape[0]
     least = np.full(SHIFTS, np.inf)
@@ -136,7 +136,7 @@ def choose(cost, chosen):
 
 @njit(cache=True)
 def _choose_with_turns(turn_j_per_rad, points, side, step, cost, chosen):
-    """As `choose`, with the turn at every vertex."""
+    """As `_choose`, with the turn at every vertex."""
     legs = cost.shape[0]
     least = np.full((SHIFTS, SHIFTS), np.inf)  # shift of the vertex before, and of the one here
     least[0] = cost[0, 0]
@@ -145,15 +145,15 @@ def _choose_with_turns(turn_j_per_rad, points, side, step, cost, chosen):
     for k in range(1, legs):
         ahead = np.full((SHIFTS, SHIFTS), np.inf)
         for b in range(SHIFTS):
-            row1, col1 = shifted(points, side, k, b, step)
+            row1, col1 = _shifted(points, side, k, b, step)
             for a in range(SHIFTS):
                 if least[a, b] == np.inf:
                     continue
-                row0, col0 = shifted(points, side, k - 1, a, step)
+                row0, col0 = _shifted(points, side, k - 1, a, step)
                 for c in range(SHIFTS):
                     if cost[k, b, c] == np.inf:
                         continue
-                    row2, col2 = shifted(points, side, k + 1, c, step)
+                    row2, col2 = _shifted(points, side, k + 1, c, step)
                     turn = turn_j_per_rad * turn_angle(row0, col0, row1, col1, row2, col2)
                     total = least[a, b] + turn + cost[k, b, c]
                     if total < ahead[b, c] - ROUNDING * abs(total):

@@ -2,7 +2,7 @@
 
 A grid search says in which cells it may lie (`region`). One more search, among points on the lines between their
 centres, decides between all ways through these cells at once (`line_points`). Its path is then moved to the least
-energy nearby: vertices slide along the lines, settle by Newton's method, and are bent by small shares of a cell.
+energy nearby: vertices slide along the lines, and are then bent by small shares of a cell.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from joulemap.planner.any_angle.bending import ACROSS, ALONG, ON_LINE, bent
 from joulemap.planner.any_angle.line_points import cheapest_over_line_points
-from joulemap.planner.any_angle.newton import settled
 from joulemap.planner.any_angle.region import region_around, region_between
 from joulemap.planner.any_angle.shortcuts import shortcuts
 from joulemap.planner.grid.stopping import check_stop
@@ -45,12 +44,9 @@ AROUND = 2
 """How far beside a given path the cells lie among which it is improved."""
 OPEN_SPACING, CLOSED_SPACING = 1.0, 0.5
 """Between vertices that are bent, likewise [cells]: beside closed ground a path bends within a cell."""
-SLIDES = (1 / 16, 1 / 64)
-"""Shifts along the lines between centres [cells]: half of what the line points leave, and a fourth of that."""
-PROBES = np.array([0.25, 0.0625])
-"""Offsets of the finite differences in Newton's method, for vertices a cell apart [cells]."""
-BENDS = (0.25, 0.125, 1 / 32)
-"""Shifts of vertices across the path and along it [cells]."""
+SHIFTS = (0.5 / CLOSED_PARTS, 0.125 / CLOSED_PARTS)
+"""Of vertices, along the lines between centres and then across the path and along it [cells]: half of what the line
+points leave, and a fourth of that."""
 CORNER_SHIFTS = (8.0, 4.0, 1.0, 0.5, 0.25, 0.125, 1 / 16, 1 / 32)
 """Shifts of corners where they are all there is to move [cells]."""
 
@@ -200,12 +196,11 @@ def _moved(prices: Prices, points: Points, fine: bool) -> Points:
     if prices.turn_j_per_rad > 0.0:
         points = _tightened(prices, points)
     else:
-        for step in SLIDES:
+        for step in SHIFTS:
             points = bent(prices, points, step, ON_LINE)
         points = shortcuts(prices, points)
-        points = shortcuts(prices, settled(prices, subdivided(points, 1.0), PROBES))
     points = subdivided(points, CLOSED_SPACING if fine else OPEN_SPACING)
-    for step in BENDS:
+    for step in SHIFTS:
         points = _bent(prices, points, step)
     return shortcuts(prices, points)
 

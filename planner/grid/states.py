@@ -28,8 +28,8 @@ from joulemap.planner.pricing.tiles import Tiles, reserved
 _SLACK = 1e-12
 """Relative gain that counts as rounding where prices may be negative, so that no loop goes on for ever."""
 CELL_WIDTH = 1 / 16
-"""Width of a bucket in typical prices. Any width gives the same energies; bounds of a coarse level rise by nearly what a
-move costs, so that wide buckets settle cells again."""
+"""Width of a bucket in typical prices. Any width gives the same energies; bounds of a coarse level rise by nearly what
+a move costs, so that wide buckets settle cells again."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

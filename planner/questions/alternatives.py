@@ -71,7 +71,7 @@ def alternative_paths(
 def _plateaus(
     ahead: Search, behind: Search, table: MoveTable, most_j: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The first state of each plateau through which a path costs at most some energy, and the plateaus' energies [J]."""
+    """The first state of each plateau through which a path costs at most `most_j`, and the plateaus' energies [J]."""
     states = np.flatnonzero(ahead.energy_j + behind.energy_j <= most_j)
     onward = behind.before(table, states)  # -1 at the goal
     at = np.minimum(np.searchsorted(states, onward), states.size - 1)

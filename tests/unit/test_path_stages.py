@@ -8,7 +8,6 @@ import pytest
 
 from joulemap.model.robot import Robot
 from joulemap.planner.any_angle.bending import ACROSS, ON_LINE, bent
-from joulemap.planner.any_angle.newton import settled
 from joulemap.planner.any_angle.shortcuts import shortcuts
 from joulemap.planner.pricing.integrator import driven_prices, exact_prices, path_price
 from tests.reference.lattices import ascii_lattice
@@ -40,14 +39,3 @@ def test_bending_takes_a_bulge_back(turn_j_per_rad, direction):
     np.testing.assert_array_equal(found[[0, -1]], bulge[[0, -1]])
     assert path_price(lattice, bulge) > 1.003 * LENGTH
     assert path_price(lattice, found) == pytest.approx(LENGTH, rel=1e-9)
-
-
-def test_settling_takes_a_wave_back_to_within_a_hundredth_of_what_it_costs():
-    lattice = flat()
-    wave = np.column_stack([10.0 + 0.4 * np.sin(np.pi * (COLS - 4.0) / 8.0 + 1e-12), COLS])
-    wave[:, 0] += 0.2 * np.sin(np.pi * (COLS - 4.0) / LENGTH)
-    wave[[0, -1], 0] = 10.0
-    found = settled(exact_prices(lattice), wave, np.array([0.25, 0.25, 0.0625]))
-    np.testing.assert_array_equal(found[[0, -1]], wave[[0, -1]])
-    assert path_price(lattice, wave) > 1.0005 * LENGTH
-    assert path_price(lattice, found) - LENGTH < 0.01 * (path_price(lattice, wave) - LENGTH)
