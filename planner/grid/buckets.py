@@ -195,7 +195,7 @@ def search_states(energy, pred, moves, tiles, aim, guide, terms, first, ring, st
     last, total, expanded, wanted = ring.last, ring.total, ring.expanded, np.int64(-1)
     limit = min(aim.most, total + aim.margin * abs(total)) if last >= 0 else aim.most
     least_parked = parked.min() if tiled else np.inf
-    heading, begin, drives, edges = np.uintp(0), 0, count_moves, count_moves
+    heading, begin, drives, edges = np.uintp(0), np.int64(0), np.int64(count_moves), np.int64(count_moves)
     while stop[0] == 0:
         ended = waiting == 0 or (current * width >= limit and not late)
         if least_parked < limit and (ended or (least_parked + tiles.thick_j <= current * width and not late)):
