@@ -52,7 +52,8 @@ def alternative_paths(
     separation_m = _separation_m(lattice, best.points)
     ahead, behind = field_from(lattice, table, start).search, field_towards(lattice, table, goal[None]).search
     states, length = _plateaus(ahead, behind, table, STRETCH * best.energy_j)
-    states, length = (of[length >= LEAST_PLATEAU * best.energy_j] for of in (states, length))
+    long = length >= LEAST_PLATEAU * best.energy_j
+    states, length = states[long], length[long]
     via = ahead.energy_j[states] + behind.energy_j[states]
     away_m = _metres_from(lattice, best.points)
     for k in np.argsort(via - length, kind="stable"):  # long plateaus first
