@@ -18,8 +18,7 @@ from joulemap.service.words import energy_words, route_words
 
 if TYPE_CHECKING:
     from joulemap.planner.lattice import CostLattice
-    from joulemap.service.library.costmap_base import Point
-    from joulemap.service.library.costmaps import CostMap
+    from joulemap.service.library.costmaps import CostMap, Point
 
 
 @dataclass(frozen=True, eq=False, repr=False)

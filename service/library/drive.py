@@ -13,8 +13,7 @@ from joulemap.model.loop.drive_filter import Ahead
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Route
 from joulemap.service.driving.ahead import check_length, check_points, metres_of, prior_of
-from joulemap.service.driving.charge import ChargeAt, charge_along
-from joulemap.service.driving.forecast import Forecast, forecast
+from joulemap.service.driving.forecast import ChargeAt, Forecast, charge_along, forecast
 from joulemap.service.driving.tracking import Sample, Tracking
 from joulemap.service.driving.updated import BetterRoute, better_route, updated_lattice
 from joulemap.service.exports.clearance import price_given_path
