@@ -1,6 +1,7 @@
 """The Dask cluster that does the work: one that this process starts, or the one at a scheduler's address.
 
-Dask takes half a second to load: import this module where it is needed.
+Dask takes half a second to load: import this module where it is needed. Whether there are workers is asked of the
+scheduler, because a client's own list of them is out of date.
 """
 
 from __future__ import annotations
@@ -9,13 +10,19 @@ import asyncio
 import logging
 import os
 import signal
-from collections.abc import AsyncIterator
+import time
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from typing import TYPE_CHECKING
 
 import dask
 from distributed import Client, LocalCluster, Security
 
 from joulemap.model.errors import InputError
+
+if TYPE_CHECKING:  # which takes half a second to load
+    from distributed import Client
+
 
 CONNECT_S = 10.0
 """Longest time until a scheduler answers [s]."""
@@ -96,3 +103,42 @@ async def connected(scheduler: str | None, *, workers: int) -> AsyncIterator[Cli
                 yield client
             finally:
                 _kill(cluster)
+
+
+ANSWER_S = 5.0
+"""Longest time until a scheduler says it [s]."""
+ABSENT_S = 20.0
+"""Workers that were there may be gone for so long [s]: one that was killed is there again within ten."""
+
+
+class Attendance:
+    """Looks whether workers are there; a short absence is no trouble.
+
+    `scheduler`: its address, None where the workers are the service's own; `clock`: returns a time that only grows [s].
+    """
+
+    def __init__(self, client: Client, scheduler: str | None, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._client, self._scheduler, self._clock = client, scheduler, clock
+        self._seen: float | None = None
+
+    async def trouble(self) -> str | None:
+        """Ask the scheduler.
+
+        Result: what is wrong, in words; None where workers are there, or were within `ABSENT_S`.
+        """
+        whose = "the service's own scheduler" if self._scheduler is None else f"the scheduler at {self._scheduler}"
+        try:
+            there = await asyncio.wait_for(self._client.nthreads(), ANSWER_S)
+        except OSError:  # a time limit, or a connection that ended
+            found = f"{whose} does not answer within {ANSWER_S:g} s"
+        else:
+            if there:
+                self._seen = self._clock()
+                return None
+            found = f"{whose} has no workers" + (
+                ": they are started again"
+                if self._scheduler is None
+                else f": start one, `dask worker {self._scheduler}`"
+            )
+        recent = self._seen is not None and self._clock() - self._seen <= ABSENT_S
+        return None if recent else found

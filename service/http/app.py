@@ -17,10 +17,8 @@ from starlette.middleware.cors import CORSMiddleware
 
 from joulemap.service.hosting.settings import Settings
 from joulemap.service.http import documents, problem_answers
-from joulemap.service.http.access_at_once import Admission
-from joulemap.service.http.access_keys import KeyCheck, Keys, warn_if_open
-from joulemap.service.http.access_origin import TrustedPages
-from joulemap.service.http.limits import RequestLimits
+from joulemap.service.http.access import Admission, KeyCheck, Keys, TrustedPages, warn_if_open
+from joulemap.service.http.middleware import RequestLimits
 from joulemap.service.http.observed import Observed
 from joulemap.service.http.routes import (
     calibrations,

@@ -1,4 +1,4 @@
-"""What each middleware has in common: it looks at requests of HTTP alone, and answers why it refuses one."""
+"""ASGI middleware: what all have in common, which answer why they refuse a request, and that which limits bodies."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from joulemap.model.errors import JoulemapError, UnauthorizedError
-from joulemap.service.http.problem_answers import response
+from joulemap.model.errors import JoulemapError, TooLargeError, UnauthorizedError
+from joulemap.service.http.problem_answers import WhileReading, response
 from joulemap.service.problems import problem_of
 
 
@@ -42,3 +42,64 @@ async def refuse(
     if isinstance(error, UnauthorizedError):
         headers = {**headers, "WWW-Authenticate": "Bearer"}
     await response(problem_of(error, scope.get("state", {}).get("request_id")), headers)(scope, receive, send)
+
+
+_MOST = {  # the largest question is a path of 100,000 points of up to three numbers, or 5,000 polygons of layers
+    b":": (60_000, "names of fields"),
+    b"[": (110_000, "lists"),
+    b"{": (20_000, "objects"),
+    b",": (500_000, "values"),
+}
+"""Most of each mark in a body of JSON, and what it stands for. They are counted before the body is parsed, because
+parsing holds the event loop up.
+"""
+
+
+class RequestLimits(Middleware):
+    """Limits for bodies.
+
+    A declared Content-Length above the limit is refused before a byte of the body is read. A body of undeclared length
+    is counted while it streams, and so are the lists, objects, names and values of a body of JSON.
+    """
+
+    def __init__(self, app: ASGIApp, *, upload_bytes: int, other_bytes: int, upload_paths: tuple[str, ...]) -> None:
+        super().__init__(app)
+        self._upload_bytes = upload_bytes
+        self._other_bytes = other_bytes
+        self._upload_paths = upload_paths
+
+    async def request(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = dict(scope["headers"])
+        limit = self._limit(scope, headers)
+        declared = headers.get(b"content-length", b"")
+        if declared.isdigit() and int(declared[:20]) > limit:
+            raise TooLargeError(_words(limit), declared_bytes=int(declared[:20]), limit_bytes=limit)
+        received = 0
+        marks = dict.fromkeys(_MOST, 0) if b"json" in headers.get(b"content-type", b"").lower() else {}
+
+        async def counted() -> Message:
+            nonlocal received
+            message = await receive()
+            if message["type"] == "http.request":
+                body = message.get("body", b"")
+                received += len(body)
+                if received > limit:
+                    raise WhileReading(TooLargeError(_words(limit), received_bytes=received, limit_bytes=limit))
+                for mark in marks:
+                    marks[mark] += body.count(mark)
+                    if marks[mark] > _MOST[mark][0]:
+                        most, what = _MOST[mark]
+                        words = f"the request's body has more than {most:,} {what}"
+                        raise WhileReading(TooLargeError(words, found=marks[mark], limit=most))
+            return message
+
+        await self._app(scope, counted, send)
+
+    def _limit(self, scope: Scope, headers: dict[bytes, bytes]) -> int:
+        upload = scope["method"] == "POST" and scope["path"] in self._upload_paths
+        is_json = headers.get(b"content-type", b"").split(b";")[0].strip().lower() == b"application/json"
+        return self._upload_bytes if upload and not is_json else self._other_bytes
+
+
+def _words(limit: int) -> str:
+    return f"the request's body is larger than the limit of {limit / 1e6:g} MB"

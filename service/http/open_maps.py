@@ -1,4 +1,4 @@
-"""The few cost maps that are kept in memory for questions, each with its route planner, which many threads share."""
+"""The few cost maps that are kept in memory for questions, which many threads share: planners and latest answers."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
 
 from joulemap.model.errors import JoulemapError, NotFoundError
 from joulemap.planner.lattice import CostLattice
@@ -142,3 +144,30 @@ class OpenMaps:
     def _let_go(self) -> None:
         while len(self._entries) > self._size:
             self._entries.popitem(last=False)
+
+
+_MOST = 8  # of a cost map
+
+
+class KeptAnswers:
+    """What was found for questions. It goes with the planner of its map, and holds no other lattice in memory."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._of: WeakKeyDictionary[RoutePlanner, OrderedDict[str, Any]] = WeakKeyDictionary()
+
+    def find(self, planner: RoutePlanner, question: str) -> Any:
+        """Return what was found for a question; None where it is not known any more."""
+        with self._lock:
+            kept = self._of.get(planner)
+            return None if kept is None else kept.get(question)
+
+    def keep(self, planner: RoutePlanner, question: str, found: Any) -> None:
+        """Keep what was found, unless it is of a lattice of its own, as with areas to avoid."""
+        lattice = planner.lattice
+        with self._lock:
+            kept = self._of.setdefault(planner, OrderedDict())
+            kept[question] = found
+            kept.move_to_end(question)
+            for old in [name for name, one in kept.items() if one.lattice is not lattice] + list(kept)[:-_MOST]:
+                kept.pop(old, None)

@@ -1,9 +1,13 @@
-"""Work on threads for requests: bounded, fair between owners and cost maps, ended when nobody waits for it any more."""
+"""Work on threads for requests: bounded, fair between owners and cost maps, ended when nobody waits for it any more.
+
+A service has two queues: one for all that searches or goes over a whole cost map, one for what only prices paths.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextvars
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,7 +19,9 @@ import numba
 from joulemap.model.errors import BusyError
 from joulemap.planner.grid.stopping import Flag, new_flag, stoppable
 from joulemap.service.hosting.fair_slots import FairSlots, Owner, Slot
-from joulemap.service.hosting.priority import be_nice
+from joulemap.service.hosting.priority import LONG_NICE, be_nice
+from joulemap.service.hosting.settings import Settings
+from joulemap.service.http.open_maps import OpenMaps
 
 Result = TypeVar("Result")
 Observe = Callable[[str, float, float], None]
@@ -135,3 +141,23 @@ def _done(flag: Flag, work: Callable[[], Result], inner_threads: int) -> Result:
 
 def _stopping() -> BusyError:
     return BusyError("the service stops: ask again when it is back", retry_after_s=10)
+
+
+_PRICE_THREADS = 4
+"""More than cores: one may be loading its cost map."""
+
+
+def queues(settings: Settings, maps: OpenMaps, observe: Observe) -> list[WorkQueue]:
+    """Return the queue of plans: routes, tours, energy fields, pictures, files of cost maps; and that of prices.
+
+    Prices are questions that need no search: verdicts for given paths, prices at a place.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    how: dict[str, Any] = {
+        "per_group": settings.plan_queue_size,
+        "overall": 4 * settings.plan_queue_size,
+        "one_at_a_time": lambda costmap_id: not maps.is_open(costmap_id),
+        "observe": observe,
+    }
+    plans = WorkQueue("plans", threads=settings.plan_threads or cores, share_cores=cores, nice=LONG_NICE, **how)
+    return [plans, WorkQueue("prices", threads=_PRICE_THREADS, **how)]

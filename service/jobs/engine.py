@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy.exc import OperationalError
 
 from joulemap.model.errors import InputError
-from joulemap.service.cluster.attendance import Attendance
+from joulemap.service.cluster.connection import Attendance
 from joulemap.service.hosting.priority import JOB_NICE
 from joulemap.service.hosting.settings import Settings
 from joulemap.service.jobs import calibrations, costmaps

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import BlockedError, InputError
 from joulemap.planner.route import Route, price_route
-from joulemap.service.library.planned_route import PlannedRoute
-from joulemap.service.library.route_output import route_numbers
+from joulemap.service.library.planned import PlannedRoute, route_numbers
 from joulemap.service.library.shown import Shown
 from joulemap.service.words import energy_words, route_words
 

@@ -11,7 +11,7 @@ from joulemap.service.questions.parts import BatteryIn
 from joulemap.service.schemas.base import GivenPath, Place, Request, within
 
 MOST_SAMPLES = 500
-"""In one request, each of at most two objects and eight names, as `joulemap.service.http.limits` lets pass."""
+"""In one request, each of at most two objects and eight names, as `joulemap.service.http.middleware` lets pass."""
 TIME_S = Range(-1e11, 1e11)
 POWER_W = Range(-1e7, 1e7)
 VOLTAGE_V = Range(0.0, 1e4)

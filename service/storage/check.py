@@ -22,7 +22,6 @@ from joulemap.planner.lattice.checked_store import CheckedStore
 from joulemap.planner.lattice.loading import open_group
 from joulemap.service.storage.files import MODEL_SUMS, bytes_of, changed, remove, sums_of
 from joulemap.service.storage.kept import now
-from joulemap.service.storage.object_access import LOST
 from joulemap.service.storage.stats import heightmap_stats
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import (
@@ -34,7 +33,7 @@ from joulemap.service.storage.tables import (
     HeightmapRow,
     RunsRow,
 )
-from joulemap.service.storage.vault import ObjectVault
+from joulemap.service.storage.vault import LOST, ObjectVault
 
 REMOVED = "removed"
 """Folder of the data directory into which a repair moves what belongs to nothing; nothing reads it."""

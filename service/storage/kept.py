@@ -18,15 +18,20 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
 from joulemap.model.errors import NotFoundError
-from joulemap.service.storage.checkpoints import Checkpoints
 from joulemap.service.storage.claims import Claims
-from joulemap.service.storage.columns import add_missing_columns, check_pages, check_schema, note_schema
-from joulemap.service.storage.data_folder import DataFolder
+from joulemap.service.storage.data_folder import DataFolder, Room, Upload
+from joulemap.service.storage.database import (
+    Checkpoints,
+    add_missing_columns,
+    check_pages,
+    check_schema,
+    dumps,
+    loads,
+    note_schema,
+)
 from joulemap.service.storage.files import bytes_of, changed, remove, sums_of
-from joulemap.service.storage.finite import dumps, loads
 from joulemap.service.storage.owners import NOBODY, Caller, promised_bytes
 from joulemap.service.storage.private import close_database, say_what_is_open
-from joulemap.service.storage.room import Room, Upload
 from joulemap.service.storage.tables import (
     CALIBRATION,
     Base,

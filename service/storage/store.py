@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from joulemap.service.storage.drives import KeptDrives
-from joulemap.service.storage.jobs import KeptJobs
+from joulemap.service.storage.jobs import KeptDrives, KeptJobs
 from joulemap.service.storage.sent import KeptSent
 
 

@@ -13,14 +13,57 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from joulemap.model.errors import DamagedError, InputError
 from joulemap.service.storage.files import bytes_of
-from joulemap.service.storage.object_access import SHOWN, as_file_errors, first_line, for_all, obstore_library
+
+LOST = errno.EHOSTUNREACH  # of an object store that does not answer: answered with 503, and jobs wait
+_AT_ONCE = 8  # transfers
+SHOWN = "the object store"
+"""What messages call it."""
+
+
+def obstore_library() -> Any:
+    """Return obstore, which is an extra."""
+    import obstore
+
+    return obstore
+
+
+def for_all(do: Callable[[str], object], names: list[str]) -> None:
+    """Do something for every name, some at a time; raises what the first failure raises."""
+    if len(names) <= 1:
+        for name in names:
+            do(name)
+        return
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        for done in [pool.submit(partial(do, name)) for name in names]:
+            done.result()
+
+
+@contextmanager
+def as_file_errors() -> Iterator[None]:
+    """Raise the errors of an object store as those of a file system."""
+    from obstore.exceptions import BaseError, NotFoundError
+
+    try:
+        yield
+    except (NotFoundError, FileNotFoundError) as error:
+        raise FileNotFoundError(errno.ENOENT, f"{SHOWN} has no such object: {first_line(error)}") from error
+    except BaseError as error:
+        raise OSError(LOST, f"{SHOWN} does not answer as it should: {first_line(error)}") from error
+
+
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error; below it obstore repeats itself for its developers."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:300]
+
 
 _RECORDS = "records"
 _RECORD_S, _CONTENT_S = 5.0, 20.0

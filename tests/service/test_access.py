@@ -18,8 +18,8 @@ from fastapi.testclient import TestClient
 from joulemap.model.errors import RateError
 from joulemap.model.robot import Robot
 from joulemap.service.cli import app
-from joulemap.service.http import access_keys
-from joulemap.service.http.access_keys import BURST_S, Buckets, warn_if_open
+from joulemap.service.http import access
+from joulemap.service.http.access import BURST_S, Buckets, warn_if_open
 from joulemap.service.http.app import create_app
 from joulemap.service.storage.keys import add_key, all_keys, revoke_keys
 from joulemap.service.storage.owners import Caller
@@ -188,7 +188,7 @@ def test_a_key_is_needed_once_there_is_one_and_refused_once_it_is_revoked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with TestClient(create_app(settings_for(tmp_path))) as client:
-        monkeypatch.setattr(access_keys, "KNOWN_S", 0.0)  # look at the database for each request
+        monkeypatch.setattr(access, "KNOWN_S", 0.0)  # look at the database for each request
         assert client.get("/v1/heightmaps").status_code == 200
         key = add_key(sessions_of(client), "anna")
         answer = client.get("/v1/heightmaps")
@@ -229,7 +229,7 @@ def test_a_new_key_is_known_at_once(tmp_path: Path) -> None:
         add_key(sessions_of(client), "anna")
         assert client.get("/v1").status_code == 401
         key = add_key(sessions_of(client), "bert")
-        time.sleep(access_keys._AGAIN_S)
+        time.sleep(access._AGAIN_S)
         assert client.get("/v1", headers=bearer(key)).status_code == 200
 
 
@@ -282,7 +282,7 @@ def shared(
         keys = {name: add_key(sessions_of(client), name) for name in ("anna", "bert")}
         keys["operator"] = add_key(sessions_of(client), "operator", operator=True)
         anna = bearer(keys["anna"])
-        time.sleep(access_keys.KNOWN_S)
+        time.sleep(access.KNOWN_S)
         ids = {
             "heightmap_id": client.post("/v1/heightmaps", content=hill_tif, headers=anna).json()["id"],
             "before": before,
@@ -417,7 +417,7 @@ def test_what_nobody_owns_can_be_adopted(tmp_path: Path, hill_tif: bytes) -> Non
     with TestClient(create_app(settings_for(tmp_path))) as client:
         heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
         keys = {name: add_key(sessions_of(client), name, adopt=name == "anna") for name in ("bert", "anna")}
-        time.sleep(access_keys.KNOWN_S)
+        time.sleep(access.KNOWN_S)
         statuses = [client.get(f"/v1/heightmaps/{heightmap}", headers=bearer(key)).status_code for key in keys.values()]
         assert statuses == [404, 200]
 

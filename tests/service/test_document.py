@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from joulemap.service.http.app import create_app, openapi_document
-from joulemap.service.http.document_rules import TOGETHER
-from joulemap.service.http.documents import recorded_examples
+from joulemap.service.http.documents import TOGETHER, recorded_examples
 from joulemap.service.questions.feasibility import FeasibilityRequest
 from joulemap.service.storage.keys import add_key
 from tests.service.conftest import GOAL, START, settings_for

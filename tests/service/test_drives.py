@@ -212,7 +212,7 @@ def test_a_drive_whose_cost_map_was_deleted_is_a_conflict(
 def test_no_drive_begins_without_room(
     client: TestClient, costmap_id: str, path: list[list[float]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("joulemap.service.storage.room.Room.check", _no_room)
+    monkeypatch.setattr("joulemap.service.storage.data_folder.Room.check", _no_room)
     assert client.post(f"/v1/costmaps/{costmap_id}/drives", json={"path": path}).status_code == 507
 
 

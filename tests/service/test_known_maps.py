@@ -10,16 +10,16 @@ from typing import Any, cast
 import pytest
 
 from joulemap.model.errors import ConflictError, NotFoundError
-from joulemap.service.http import made
-from joulemap.service.http.made import KNOWN_S, Made
+from joulemap.service.http import service
+from joulemap.service.http.service import KNOWN_S, Service
 from joulemap.service.storage.owners import Caller
 from joulemap.service.storage.store import Store
 from tests.service.workers import asked, rolling
 
 
-class Maps(Made):
+class Maps(Service):
     def __init__(self, store: Store) -> None:
-        super().__init__()
+        self._known = {}
         self.store = store
         self.retention = cast(Any, SimpleNamespace(saw=lambda _id: None))
         self.maps = cast(Any, SimpleNamespace(forget=lambda _id: None))
@@ -69,7 +69,7 @@ def test_a_map_that_another_service_deleted_is_gone_soon(
     store: Store, finished: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     maps, now = Maps(store), 100.0
-    monkeypatch.setattr(made, "time", SimpleNamespace(monotonic=lambda: now))
+    monkeypatch.setattr(service, "time", SimpleNamespace(monotonic=lambda: now))
     maps.done_costmap(finished)
     store.delete_costmap(finished)
     now += 0.9 * KNOWN_S

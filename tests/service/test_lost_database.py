@@ -19,8 +19,7 @@ from sqlalchemy.exc import OperationalError
 from starlette.datastructures import Headers
 
 from joulemap.model.errors import BusyError, NotFoundError
-from joulemap.service.http.access_at_once import AtOnce
-from joulemap.service.http.access_keys import KeyCheck, Keys
+from joulemap.service.http.access import AtOnce, KeyCheck, Keys
 from joulemap.service.storage.store import Store
 from tests.service.clusters import free_port
 from tests.service.conftest import settings_for

@@ -12,8 +12,8 @@ from fastapi.testclient import TestClient
 from joulemap.model import errors
 from joulemap.service import problems
 from joulemap.service.http import problem_answers
-from joulemap.service.http.limits import RequestLimits
 from joulemap.service.http.metrics import Metrics
+from joulemap.service.http.middleware import RequestLimits
 from joulemap.service.http.observed import Observed
 
 

@@ -15,9 +15,9 @@ from pydantic import ValidationError
 
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.cli import app as cli
-from joulemap.service.cluster import attendance, connection
+from joulemap.service.cluster import connection
 from joulemap.service.cluster.address import scheduler_address
-from joulemap.service.cluster.attendance import Attendance
+from joulemap.service.cluster.connection import Attendance
 from joulemap.service.hosting.settings import Settings
 from joulemap.service.http.app import create_app
 from tests.service.clusters import cluster, dask
@@ -28,7 +28,7 @@ from tests.service.workers import rolling
 
 def test_a_scheduler_without_workers_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """At the start at once; a worker that goes is missed after a while, here two seconds and not twenty."""
-    monkeypatch.setattr(attendance, "ABSENT_S", 2.0)
+    monkeypatch.setattr(connection, "ABSENT_S", 2.0)
     with cluster(0) as (address, _), TestClient(create_app(settings_for(tmp_path, scheduler=address))) as client:
         wait_until(lambda: f"workers: the scheduler at {address} has no workers" in client.get("/readyz").text)
         assert client.get("/readyz").status_code == 503
@@ -64,7 +64,7 @@ def test_a_short_absence_of_workers_is_no_trouble() -> None:
 
 
 def test_a_scheduler_that_hangs_is_said_within_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(attendance, "ANSWER_S", 0.1)
+    monkeypatch.setattr(connection, "ANSWER_S", 0.1)
 
     class _Hangs:
         async def nthreads(self) -> dict[str, int]:

@@ -15,7 +15,7 @@ import uvicorn
 from fastapi import FastAPI, Request, Response
 from starlette.types import Receive, Scope, Send
 
-from joulemap.service.http.limits import RequestLimits
+from joulemap.service.http.middleware import RequestLimits
 from joulemap.service.http.problem_answers import install
 from joulemap.service.http.slow_clients import PROGRESS_BYTES, SlowClients, most_connections
 

@@ -28,8 +28,7 @@ from joulemap.service.render.map_layers import (
     layer_bounds,
     overview,
 )
-from joulemap.service.render.map_pieces import draw_piece, levels_of, look_of
-from joulemap.service.render.map_shapes import roses
+from joulemap.service.render.map_pieces import draw_piece, levels_of, look_of, roses
 
 
 def wavy(rows: int = 30, cols: int = 47) -> Heightmap:

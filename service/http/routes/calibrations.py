@@ -15,10 +15,10 @@ from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.errors import InputError, NotFoundError, TooLargeError
 from joulemap.model.robot import Robot
 from joulemap.service.exports.track import track_of_drive
+from joulemap.service.http.asked import FILES, Coordinates, FileFormat, file_response, route_file_wanted
 from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import problems
 from joulemap.service.http.quick_json import QuickJsonRoute
-from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, file_response, route_file_wanted
 from joulemap.service.http.routes.jobs import Prefer, job_answer
 from joulemap.service.http.service import Service
 from joulemap.service.loop.calibration import campaigns_of, refuse_calibrated

@@ -11,11 +11,10 @@ from fastapi import APIRouter, Query, Request, Response
 from sse_starlette import ServerSentEvent
 
 from joulemap.model.errors import ConflictError, NotFoundError
-from joulemap.service.http.access_at_once import EventStream
+from joulemap.service.http.access import EventStream
 from joulemap.service.http.asked import answer_of
 from joulemap.service.http.dependencies import KernelsDep, Limit, Offset, ServiceDep
-from joulemap.service.http.document_rules import event_schema
-from joulemap.service.http.documents import problems
+from joulemap.service.http.documents import event_schema, problems
 from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.service import Service
 from joulemap.service.http.work_queue import OwnWork, WorkQueue

@@ -15,10 +15,9 @@ from pydantic import BaseModel
 from sse_starlette import ServerSentEvent
 
 from joulemap.service.http import problem_answers
-from joulemap.service.http.access_at_once import EventStream
+from joulemap.service.http.access import EventStream
 from joulemap.service.http.dependencies import ServiceDep
-from joulemap.service.http.document_rules import event_schema
-from joulemap.service.http.documents import problems
+from joulemap.service.http.documents import event_schema, problems
 from joulemap.service.http.service import Service
 from joulemap.service.schemas.kept import calibration_out, costmap_out
 from joulemap.service.schemas.loop import CalibrationOut

@@ -34,11 +34,13 @@ from joulemap.service.render.map_pieces import (
     MOST_PIECES,
     PIECE_PIXELS,
     Look,
+    contours,
     draw_piece,
+    lat_lon,
     levels_of,
     look_of,
+    roses,
 )
-from joulemap.service.render.map_shapes import contours, lat_lon, roses
 from joulemap.service.render.raster_shading import centres, thinned
 from joulemap.service.schemas.answers import number
 from joulemap.service.schemas.base import Coordinate, within

@@ -12,14 +12,21 @@ from fastapi.responses import JSONResponse
 from joulemap.model.errors import InputError
 from joulemap.planner.grid.stopping import check_stop
 from joulemap.service.exports.routes import RouteFile
-from joulemap.service.http.access_at_once import EventStream
-from joulemap.service.http.asked import answer_of, attachment, refuse_other_robot, warnings_of
+from joulemap.service.http.access import EventStream
+from joulemap.service.http.asked import (
+    FILES,
+    Coordinates,
+    FileWanted,
+    answer_of,
+    attachment,
+    file_response,
+    refuse_other_robot,
+    warnings_of,
+)
 from joulemap.service.http.dependencies import CostmapDep, OnCostmap
-from joulemap.service.http.document_rules import event_schema
-from joulemap.service.http.documents import BINARY, problems
+from joulemap.service.http.documents import BINARY, event_schema, problems
 from joulemap.service.http.long_questions import EVENTS, Report, events, while_connected
 from joulemap.service.http.quick_json import QuickJsonRoute
-from joulemap.service.http.route_files import FILES, Coordinates, FileWanted, file_response
 from joulemap.service.places.coordinates import known_crs
 from joulemap.service.questions import charging, feasibility, homeward, matrix, path, reach, speeds, tour
 from joulemap.service.questions.charging import ChargingOut, ChargingRequest

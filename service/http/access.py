@@ -1,29 +1,205 @@
-"""ASGI middleware for keys: on whose behalf a request is, how many a second; without a valid one it is refused."""
+"""Who may ask, and how often: hosts and web pages, connections and event streams at a time, keys. Probes always may."""
 
 from __future__ import annotations
 
 import ipaddress
 import logging
+import re
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections import Counter
+from collections.abc import Awaitable, Callable, Collection, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
+from types import MappingProxyType
 
 import anyio
 from sqlalchemy.exc import SQLAlchemyError
+from sse_starlette import EventSourceResponse
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from joulemap.model.errors import BusyError, ForbiddenError, RateError, UnauthorizedError
 from joulemap.service.hosting.settings import Settings
-from joulemap.service.http.access_at_once import PROBE_PATHS, AtOnce
-from joulemap.service.http.access_origin import HEALTH_PATHS
 from joulemap.service.http.middleware import Middleware
 from joulemap.service.problems import no_database
 from joulemap.service.storage.keys import all_keys, fits, prefix_of
 from joulemap.service.storage.owners import NOBODY, Caller
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import KeyRow
+
+HEALTH_PATHS = ("/healthz", "/readyz")
+"""Probes call these by any address; they tell nothing about what is kept."""
+
+_HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::[0-9]{1,5})?", re.IGNORECASE)
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_WILDCARDS = ("", "0.0.0.0", "::")
+_SAME = ("same-origin", "none")  # `none`: the user typed the address
+
+
+class TrustedPages(Middleware):
+    """Answers 403 to a request whose `Host` is not allowed, and to one that a page of another origin sends.
+
+    The check of `Host` stops DNS rebinding: a foreign page whose name suddenly leads to this machine. The check of
+    `Origin` and `Sec-Fetch-Site` stops a foreign page that sends forms or loads pictures, which browsers allow.
+    Programs send neither header.
+    """
+
+    def __init__(
+        self, app: ASGIApp, *, host: str, allowed_hosts: Collection[str], cors_origins: Collection[str]
+    ) -> None:
+        super().__init__(app)
+        listens = () if host in _WILDCARDS else (host.lower(),)
+        self._hosts = {name.strip("[]") for name in (*_LOOPBACK, *listens, *allowed_hosts)}
+        self._origins = set(cors_origins)
+
+    async def request(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] not in HEALTH_PATHS:
+            self._check(scope, Headers(scope=scope))
+        await self._app(scope, receive, send)
+
+    def _check(self, scope: Scope, headers: Headers) -> None:
+        host = ", ".join(headers.getlist("host"))
+        name = _name_of(host)
+        if "*" not in self._hosts and name not in self._hosts:
+            known = ", ".join(sorted(self._hosts))
+            raise ForbiddenError(
+                f"this service is not called {(name or host)[:100]!r}: call it by one of {known}, or add the name to "
+                "JOULEMAP_ALLOWED_HOSTS",
+                host=host[:100],
+                allowed=sorted(self._hosts),
+            )
+        origin = headers.get("origin")
+        if origin is not None:
+            foreign = origin.lower() not in self._origins and origin.lower().partition("://")[2] != host.lower()
+        else:
+            foreign = headers.get("sec-fetch-site", "none") not in _SAME and not _is_link(scope, headers)
+        if foreign:
+            raise ForbiddenError(
+                f"a web page of {(origin or 'another origin')[:100]} may not call this service: add its origin to "
+                "JOULEMAP_CORS_ORIGINS",
+                origin=(origin or "")[:100],
+                allowed=sorted(self._origins),
+            )
+
+
+def _name_of(host: str) -> str | None:
+    """The name in a header `Host`, without port and brackets, in lower case; None where it is no host."""
+    found = _HOST.fullmatch(host)
+    return found and (found[1] or found[2]).lower()
+
+
+def _is_link(scope: Scope, headers: Headers) -> bool:
+    """Whether the user follows a link, which shows the answer as a page and tells the foreign page nothing."""
+    return (
+        scope["method"] in ("GET", "HEAD")
+        and headers.get("sec-fetch-mode") == "navigate"
+        and headers.get("sec-fetch-dest") == "document"
+    )
+
+
+PROBE_PATHS = (*HEALTH_PATHS, "/metrics")
+"""They are answered at once and whole, so that they need no limit."""
+_RETRY_S = 5.0
+_LOOK_S = 2.0  # between looks whether the key of a stream was revoked
+
+
+class AtOnce:
+    """How many of something each client has now."""
+
+    def __init__(self, what: str, most: int, setting: str) -> None:
+        self._what, self._most, self._setting = what, most, setting
+        self._now: Counter[str] = Counter()
+
+    @contextmanager
+    def one_of(self, client: str) -> Iterator[None]:
+        """Count one more of a client meanwhile."""
+        if self._now[client] >= self._most:
+            raise RateError(
+                f"{client} has {self._now[client]} {self._what} at a time, and may have {self._most} "
+                f"({self._setting}): end one, or wait as long as Retry-After says",
+                found=self._now[client],
+                limit=self._most,
+                retry_after_s=_RETRY_S,
+            )
+        self._now[client] += 1
+        try:
+            yield
+        finally:
+            self._now[client] -= 1
+            if not self._now[client]:
+                del self._now[client]
+
+
+class Admission(Middleware):
+    """Answers 429 where an address has too many connections that are being answered, and 503 where all have together.
+
+    Probes are always let in.
+    """
+
+    refusal_headers = MappingProxyType({"Connection": "close"})
+
+    def __init__(self, app: ASGIApp, *, most: int, each: AtOnce) -> None:
+        super().__init__(app)
+        self._most, self._each = most, each
+        self._answered = 0
+
+    async def request(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] in PROBE_PATHS:
+            await self._app(scope, receive, send)
+            return
+        with self._each.one_of(address_of(scope)):
+            self._check_room()
+            self._answered += 1
+            try:
+                await self._app(scope, receive, send)
+            finally:
+                self._answered -= 1
+
+    def _check_room(self) -> None:
+        if self._answered >= self._most:
+            raise BusyError(
+                f"{self._answered} connections are being answered, and at most {self._most} may be at a time "
+                "(JOULEMAP_MAX_CONNECTIONS)",
+                found=self._answered,
+                limit=self._most,
+                retry_after_s=_RETRY_S,
+            )
+
+
+class EventStream(EventSourceResponse):
+    """Server-sent events, as long as the key is valid; 429 where the address or the key has too many such streams."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the events."""
+        streams: AtOnce = scope["app"].state.service.streams
+        with ExitStack() as stack:
+            stack.enter_context(streams.one_of(address_of(scope)))
+            if (name := scope["state"]["caller"].name) is not None:
+                stack.enter_context(streams.one_of(f"key {name}"))
+            async with anyio.create_task_group() as group:
+                group.start_soon(_end_when_revoked, scope["state"].get("still_valid"), group.cancel_scope)
+                await super().__call__(scope, receive, send)
+                group.cancel_scope.cancel()
+
+
+async def _end_when_revoked(still_valid: Callable[[], Awaitable[bool]] | None, stream: anyio.CancelScope) -> None:
+    while still_valid is not None and await still_valid():
+        await anyio.sleep(_LOOK_S)
+    if still_valid is not None:
+        stream.cancel()
+
+
+def address_of(scope: Scope) -> str:
+    """Return the address from which a request comes, in words; that before a proxy which is trusted.
+
+    Result: of an IPv6 address the network of 64 bits, all of which one client usually has.
+    """
+    address = (scope.get("client") or ("unknown",))[0]
+    if ":" in address:
+        with suppress(ValueError):  # a trusted proxy may write anything
+            address = str(ipaddress.IPv6Network((address, 64), strict=False))
+    return f"address {address[:100]}"
+
 
 BURST_S = 10.0
 """A caller that was quiet may send so many seconds' worth of requests at once."""
