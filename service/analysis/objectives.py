@@ -51,11 +51,15 @@ class Weighed:
     name : str
         Of the objective.
     quantile : float or None
-        Its share of drives.
-    quantile_j, mean_quantile_j : float or None
-        Energy that this share of drives does not exceed [J], on the route and on the one of least expected energy.
-    probability, mean_probability : float or None
-        That the battery lasts, on either.
+        Its share of drives; None for arrival.
+    quantile_j : float or None
+        Energy that this share of drives does not exceed [J]; None for arrival.
+    mean_quantile_j : float or None
+        The same on the route of least expected energy [J], never less.
+    probability : float or None
+        That the battery lasts, with its tails; None for quantile.
+    mean_probability : float or None
+        The same on the route of least expected energy, never more.
     gap : float or None
         By how much a better route may be better, as a share of the energy, or as a difference of probabilities, if
         every search found its cheapest route; None where nothing is known.

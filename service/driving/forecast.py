@@ -27,8 +27,16 @@ _SUBJECT = {
 
 @dataclass(frozen=True)
 class Cause:
-    """How much more something takes in this run than planned, as a share; 90 % of its distribution lies between `low`
-    and `high`.
+    """How much more something takes in this run than planned.
+
+    Attributes
+    ----------
+    name : str
+        One of `CAUSES`.
+    share : float
+        As a share of the plan; 0.31 is 31 % more.
+    low, high : float
+        5 % of its distribution lie below, and 5 % above.
     """
 
     name: str
@@ -43,20 +51,28 @@ class Forecast:
 
     Attributes
     ----------
-    at_m, left_m : float
-        Where the robot is, from the start of the route, and how far its end is [m].
+    at_m : float
+        Where the robot is, from the start of the route [m].
+    left_m : float
+        Length of the rest [m].
     off_route_m : float
         How far it is beside the route [m].
     used_j : float
         Energy drawn since the first sample [J].
-    energy_j, energy_p05_j, energy_p95_j : float
-        Energy of the rest: expected, and what 5 and 95 % of drives do not exceed [J].
+    energy_j : float
+        Expected energy of the rest [J].
+    energy_p05_j : float
+        Energy of the rest that 5 % of drives do not exceed [J].
+    energy_p95_j : float
+        Energy of the rest that 95 % of drives do not exceed [J].
     planned_j : float
         Energy of the rest as planned [J].
     left_s : float
         Time of the rest at the robot's speed [s].
-    charge, charge_at_end : float
-        State of charge now and, as expected, at the end, 0..1.
+    charge : float
+        State of charge now, 0..1.
+    charge_at_end : float
+        Expected state of charge at the end, 0..1.
     probability : float
         That the battery lasts to the end with its reserve, 0.01..0.99.
     verdict : str
@@ -67,9 +83,9 @@ class Forecast:
         How much more the rest takes than planned, for what was learnt: the share of the one cause that is seen, or of
         all energy, named "level", where none is certain.
     causes : tuple of Cause
-        What is known of each cause.
+        Each cause by itself.
     alarms : tuple of Alarm
-        Changes that were noticed, the newest last.
+        Changes that were noticed, at most 20, the newest last.
     text : str
         All this in a sentence or two.
     """
@@ -219,8 +235,10 @@ class ChargeAt(NamedTuple):
 
     Attributes
     ----------
-    distance_m, x, y : float
-        From the start, and in the world [m].
+    distance_m : float
+        From the start [m].
+    x, y : float
+        In the world [m].
     planned : float
         State of charge there as planned; below 0 where the battery would be empty before.
     charge, low, high : float

@@ -48,8 +48,18 @@ class Sample(NamedTuple):
 
 
 class Alarm(NamedTuple):
-    """Something changed: where it was noticed and where it probably began [m from the start], when, and to which side:
-    "more" or "less".
+    """A change that was noticed.
+
+    Attributes
+    ----------
+    at_m : float
+        Where it was noticed, from the start [m].
+    since_m : float
+        Where it probably began [m].
+    time_s : float
+        Time of the sample at which it was noticed [s].
+    side : str
+        "more" or "less".
     """
 
     at_m: float

@@ -11,8 +11,7 @@ from pydantic import Field
 
 from joulemap.model.ranges import MAX_CHARGING
 from joulemap.service.questions.parts import BatteryIn, Confidence, OnMap, battery_of, on_map
-from joulemap.service.schemas.base import GivenPath, Place, ResponseModel
-from joulemap.service.schemas.planning import PlaceOut
+from joulemap.service.schemas.base import GivenPath, Place, PlaceOut, ResponseModel
 
 if TYPE_CHECKING:  # they take their time to load
     from joulemap.planner.route_planner import RoutePlanner

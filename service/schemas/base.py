@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
+import inspect
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self, get_type_hints
 
 import numpy as np
 from annotated_types import Interval
@@ -92,6 +94,21 @@ class ResponseModel(BaseModel):
     """An answer: it has the fields of the schema and no others."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+def like(kind: type, *without: str, **nested: type) -> Any:
+    """Return the base of an answer with the attributes of a value object, and what its docstring says of each.
+
+    `nested`: answers in place of other value objects, by their names.
+    """
+    kinds = {name: one for name, one in get_type_hints(kind, localns=nested).items() if name not in without}
+    words: dict[str, str] = {}
+    described = (inspect.getdoc(kind) or "").partition("Attributes\n----------\n")[2].partition("\n\n")[0]
+    for names, text in re.findall(r"^(\S.*?) :.*\n((?:    .*\n?)+)", described, re.M):
+        said = " ".join(text.split()).rstrip(".").replace("None", "null")
+        words |= dict.fromkeys(names.split(", "), said[:1].lower() + said[1:])
+    fields: dict[str, Any] = {name: (one, Field(description=words.get(name))) for name, one in kinds.items()}
+    return create_model(kind.__name__, __base__=ResponseModel, **fields)
 
 
 def within(allowed: Range) -> Interval:
@@ -261,6 +278,15 @@ class UnreadableOut(ResponseModel):
     id: str
     created_at: dt.datetime = Field(description="UTC")
     problem: Problem = Field(description="what is not valid")
+
+
+class PlaceOut(ResponseModel):
+    """A place on the way, where something happens."""
+
+    distance_m: float = Field(description="from the start; over both ways of a round trip [m]")
+    time_s: float = Field(description="from the start, at the robot's speed [s]")
+    x: float = Field(description="[m]")
+    y: float = Field(description="[m]")
 
 
 class JobOut(ResponseModel):

@@ -7,52 +7,31 @@ from typing import Literal
 
 from pydantic import Field
 
-from joulemap.service.schemas.base import ResponseModel
+from joulemap.service.driving.forecast import Cause, ChargeAt, Forecast
+from joulemap.service.driving.tracking import Alarm
+from joulemap.service.schemas.base import ResponseModel, like
 from joulemap.service.storage.tables import DriveRow
 
 
-class CauseOut(ResponseModel):
+class CauseOut(like(Cause)):  # type: ignore[misc]
     """How much more something takes in this run than planned."""
 
     name: Literal["level", "ground", "slope", "power"] = Field(
         description="all energy, the rolling resistance, the weight that is lifted, or the power at rest"
     )
-    share: float = Field(description="as a share of the plan; 0.31 is 31 % more")
-    low: float = Field(description="5 % of its distribution lie below")
-    high: float = Field(description="5 % of its distribution lie above")
 
 
-class AlarmOut(ResponseModel):
+class AlarmOut(like(Alarm)):  # type: ignore[misc]
     """A change that was noticed."""
 
-    at_m: float = Field(description="where it was noticed, from the start [m]")
-    since_m: float = Field(description="where it probably began [m]")
-    time_s: float = Field(description="time of the sample at which it was noticed [s]")
     side: Literal["more", "less"] = Field(description="whether the robot takes more or less since")
     text: str = Field(description="the same in a sentence")
 
 
-class ForecastOut(ResponseModel):
+class ForecastOut(like(Forecast, Cause=CauseOut, Alarm=AlarmOut)):  # type: ignore[misc]
     """What is expected of the rest of a drive."""
 
-    at_m: float = Field(description="where the robot is, from the start of the route [m]")
-    left_m: float = Field(description="length of the rest [m]")
-    off_route_m: float = Field(description="how far the robot is beside the route [m]")
-    used_j: float = Field(description="energy drawn since the first sample [J]")
-    energy_j: float = Field(description="expected energy of the rest [J]")
-    energy_p05_j: float = Field(description="energy of the rest that 5 % of drives do not exceed [J]")
-    energy_p95_j: float = Field(description="energy of the rest that 95 % of drives do not exceed [J]")
-    planned_j: float = Field(description="energy of the rest as planned [J]")
-    left_s: float = Field(description="time of the rest at the robot's speed [s]")
-    charge: float = Field(description="state of charge now, 0..1")
-    charge_at_end: float = Field(description="expected state of charge at the end, 0..1")
-    probability: float = Field(description="that the battery lasts to the end with its reserve, 0.01..0.99")
     verdict: Literal["yes", "likely", "marginal", "no"] = Field(description="by that probability")
-    learnt_m: float = Field(description="distance that was learnt from [m]")
-    more: CauseOut = Field(description="how much more the rest takes, or the one cause that is seen")
-    causes: list[CauseOut] = Field(description="each cause by itself")
-    alarms: list[AlarmOut] = Field(description="at most 20, the newest last")
-    text: str = Field(description="all this in a sentence or two")
 
 
 class DriveOut(ResponseModel):
@@ -73,13 +52,9 @@ class DriveList(ResponseModel):
     items: list[DriveOut]
 
 
-class ChargeAtOut(ResponseModel):
+class ChargeAtOut(like(ChargeAt)):  # type: ignore[misc]
     """A place of the route of a drive."""
 
-    distance_m: float = Field(description="from the start [m]")
-    x: float = Field(description="world x, east [m]")
-    y: float = Field(description="world y, north [m]")
-    planned: float = Field(description="state of charge there as planned; below 0: empty before")
     charge: float = Field(ge=0, le=1, description="what it was behind the robot; ahead of it what is expected")
     low: float = Field(ge=0, le=1, description="5 % of drives have less there")
     high: float = Field(ge=0, le=1, description="5 % of drives have more there")

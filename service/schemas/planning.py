@@ -6,7 +6,9 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from joulemap.service.schemas.base import Point3, ResponseModel
+from joulemap.planner.verdict.budget import Verdict
+from joulemap.service.analysis.objectives import Weighed
+from joulemap.service.schemas.base import PlaceOut, Point3, ResponseModel, like
 
 _UNKNOWN = "null where the model does not know its uncertainty"
 _STD = Field(description=f"standard deviation of energy_j [J]; {_UNKNOWN}", examples=[1234.5])
@@ -16,24 +18,10 @@ _P05, _P50, _P95 = (
 )
 
 
-class ObjectiveOut(ResponseModel):
+class ObjectiveOut(like(Weighed)):  # type: ignore[misc]
     """How a route does by its objective, beside the route of least expected energy."""
 
     name: Literal["quantile", "arrival"] = Field(description="of the objective")
-    quantile: float | None = Field(description="share of drives; null for arrival")
-    quantile_j: float | None = Field(description="energy that this share of drives does not exceed [J]; null as above")
-    mean_quantile_j: float | None = Field(
-        description="the same on the route of least expected energy [J], never less; null as above"
-    )
-    probability: float | None = Field(description="that the battery lasts, with its tails; null for quantile")
-    mean_probability: float | None = Field(
-        description="the same on the route of least expected energy, never more; null as above"
-    )
-    gap: float | None = Field(
-        description="by how much a better route may be better: as a share of the energy, or as a difference of "
-        "probabilities, if every search found its cheapest route and the variance of a route is that of its metres; "
-        "null where nothing is known"
-    )
     searches: int = Field(ge=1, description="number of prices of uncertainty that were searched")
 
 
@@ -53,29 +41,12 @@ class PieceOut(ResponseModel):
     cumulative_p95_j: float | None = Field(description="95 % of such drives take less up to there [J]; null as above")
 
 
-class PlaceOut(ResponseModel):
-    """A place on the way, where something happens."""
-
-    distance_m: float = Field(description="from the start; over both ways of a round trip [m]")
-    time_s: float = Field(description="from the start, at the robot's speed [s]")
-    x: float = Field(description="[m]")
-    y: float = Field(description="[m]")
-
-
-class VerdictOut(ResponseModel):
+class VerdictOut(like(Verdict, Place=PlaceOut)):  # type: ignore[misc]
     """Whether the battery lasts."""
 
-    feasible: bool = Field(description="whether the battery lasts without using the reserve")
     message: str = Field(description="the verdict in words")
-    energy_j: float = Field(description="energy of the task [J]")
-    available_j: float = Field(
-        description="energy above the reserve at the start [J]; negative where the charge is already below it"
-    )
     margin_j: float = Field(ge=0, description="energy left above the reserve [J]; 0 where it does not last")
     shortfall_j: float = Field(ge=0, description="energy that is missing [J]; 0 where it lasts")
-    charge_at_start: float = Field(description="state of charge before the task, 0..1")
-    charge_at_end: float = Field(description="state of charge after the task, 0..1")
-    reserve: float = Field(description="share of the capacity that must remain, 0..1")
     energy_std_j: float | None = _STD
     energy_p05_j: float | None = _P05
     energy_p50_j: float | None = _P50
@@ -84,30 +55,8 @@ class VerdictOut(ResponseModel):
         description="yes: lasts with a probability of 95 % or more; likely: 2/3 or more; marginal: 1/3 or more; no: "
         "less. Without a probability, as if whole routes erred by half of their energy (a standard deviation)"
     )
-    verdict_text: str = Field(description="one sentence: how likely, what it takes, where most of it goes")
-    charge_for_yes: float | None = Field(
-        description="least state of charge at the start for a yes, 0..1; null where a full battery is not enough"
-    )
-    yes_until_m: float | None = Field(
-        description="distance up to which it is a yes [m]; null where it is one to the end"
-    )
-    reserve_at: PlaceOut | None = Field(
-        description="where and when the reserve is touched, at the expected energy; null where it is not"
-    )
-    overload_at: PlaceOut | None = Field(
-        description="where the power is first more than the battery can give; null where it never is, and for a "
-        "battery of which only energy is known"
-    )
     overload_w: float | None = Field(description="power there [W]")
     most_power_w: float | None = Field(description="most power that the battery can give there [W]")
-    least_voltage_v: float | None = Field(
-        description="least voltage under load [V], before any overload; null where only the energy of the battery is "
-        "known"
-    )
-    probability: float | None = Field(
-        description="probability that the battery lasts, 0.01..0.99: 0.99 means at least 0.99 and 0.01 at most 0.01, "
-        "because the tails of the distribution are not known; null where the model does not know its uncertainty"
-    )
 
 
 class ShortestOut(ResponseModel):
