@@ -13,20 +13,17 @@ from joulemap.service.commands import (
     calibration,
     data_directory,
     doctor,
-    exports,
     following,
     heightmaps,
-    keys,
     logs,
     maps,
     models,
     paths,
-    route_questions,
     services,
     simulation,
 )
-from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.asked import Commands, listed
+from joulemap.service.commands.console import Command
 
 _NEW_OBJECTS = 50_000
 """After so many new objects cycles are looked for: what libraries make while they load stays, and to look through it
@@ -96,13 +93,13 @@ for _panel, _commands in (
             paths.path,
             paths.feasibility,
             following.follow,
-            route_questions.tour,
-            route_questions.matrix,
-            route_questions.charging,
+            paths.tour,
+            paths.matrix,
+            paths.charging,
             area_questions.field,
             area_questions.reach,
-            route_questions.speeds,
-            exports.export,
+            paths.speeds,
+            maps.export,
         ),
     ),
     ("Serve", (services.demo, services.serve, services.warmup, services.openapi)),
@@ -124,7 +121,7 @@ for _panel, _commands in (
         app.command(cls=Command, rich_help_panel=_panel)(listed(_command))
 app.command("return", cls=Command, rich_help_panel="Plan")(listed(area_questions.point_of_no_return))
 app.command("import", cls=Command, rich_help_panel="Learn")(listed(logs.import_logs))
-app.add_typer(keys.keys, rich_help_panel="Serve")
+app.add_typer(data_directory.keys, rich_help_panel="Serve")
 
 
 def main() -> None:

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type
 import typer
 
 from joulemap.model.errors import InputError
-from joulemap.service.commands.arguments import Command
-from joulemap.service.commands.console import Output, PlainErrors, parse_point, parse_share
+from joulemap.service.commands.console import Command, Output, PlainErrors, parse_point, parse_share
 from joulemap.service.commands.options import BatteryFile, battery_values, known_model, there
 from joulemap.service.commands.route_files import PLACE
 from joulemap.service.words import capital
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from joulemap.model.frames import GridFrame
-    from joulemap.service.questions.fields import Field
+    from joulemap.service.questions.asking import Field
     from joulemap.service.questions.parts import OnMap
 
 _TYPES = {"integer": int, "number": float, "string": str, "boolean": bool, "array": list}
@@ -229,7 +228,7 @@ def _layers(words: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _options_of(request: type[BaseModel], without: Sequence[str]) -> Iterator[inspect.Parameter]:
-    from joulemap.service.questions.fields import fields_of, value_of
+    from joulemap.service.questions.asking import fields_of, value_of
 
     needed, others = fields_of(request)
     panel = None if "robot" in request.model_fields else (request.__doc__ or "").rstrip(".")
@@ -258,7 +257,7 @@ def _option(
     name: str, field: Field, fields: Mapping[str, Field], *, needed: bool = False, **more: Any
 ) -> inspect.Parameter:
     """The option of a number, a text, a flag, a place or a list of places."""
-    from joulemap.service.questions.fields import is_place, value_of
+    from joulemap.service.questions.asking import is_place, value_of
 
     value, names = value_of(field), flags(name)
     kind: Any = _TYPES[value["type"]]
@@ -310,7 +309,7 @@ def flags(name: str) -> list[str]:
 
 def _sentence(field: Field, fields: Mapping[str, Field]) -> str:
     """The meaning of a field, which calls other fields by their options."""
-    from joulemap.service.questions.fields import meaning_of
+    from joulemap.service.questions.asking import meaning_of
 
     def _called(found: re.Match[str]) -> str:
         return flags(found[1])[0] if found[1] in fields else found[0]

@@ -19,7 +19,7 @@ from joulemap.service.words import energy_words, runs_words
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
-    from joulemap.service.loop.next_words import NextStep
+    from joulemap.service.loop.summary import NextStep
 
 _CORNERS = 8  # of a route
 
@@ -78,7 +78,7 @@ def calibrate(
 def _next_steps(document: Mapping[str, Any], out: Path, asked: ComparedDrives, robot: Robot) -> list[NextStep]:
     """What to type after a calibration."""
     from joulemap.service.loop.error_words import advice
-    from joulemap.service.loop.next_words import NextStep, likeliest
+    from joulemap.service.loop.summary import NextStep, likeliest
 
     steps = [] if advice(document) else _plan_with(document, out, asked, robot)
     words = ["joulemap", "suggest-drive", *asked.words()]
@@ -93,7 +93,7 @@ def _next_steps(document: Mapping[str, Any], out: Path, asked: ComparedDrives, r
 
 def _plan_with(document: Mapping[str, Any], out: Path, asked: ComparedDrives, robot: Robot) -> list[NextStep]:
     """What to type to plan with the calibrated model."""
-    from joulemap.service.loop.next_words import NextStep
+    from joulemap.service.loop.summary import NextStep
 
     made = out.with_name("after.zarr")
     words = ["joulemap", "costmap", *asked.ground_words(document, robot), "--model", str(out / "model")]
@@ -109,8 +109,7 @@ def _plan_with(document: Mapping[str, Any], out: Path, asked: ComparedDrives, ro
 def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[NextStep]) -> None:
     from joulemap.model.runs.segments import coverage_words
     from joulemap.model.runs.words import count_words
-    from joulemap.service.loop.next_words import drive_words
-    from joulemap.service.loop.summary import summary_lines
+    from joulemap.service.loop.summary import drive_words, summary_lines
 
     title, *lines = summary_lines(document)
     output.say(head=title)
@@ -164,9 +163,8 @@ def suggest_drive(
     Example: `joulemap suggest-drive --model mine --heightmap dem.tif --runs new/*.csv --out drive.plan`
     """
     from joulemap.service.exports.track import track_of_drive
-    from joulemap.service.loop.deprecated_keys import with_former_keys
     from joulemap.service.loop.next_drive import suggest_next_drive
-    from joulemap.service.loop.next_words import drive_words
+    from joulemap.service.loop.summary import drive_words, with_former_keys
 
     output, files = Output(json_file), route_files.wanted()
     read = drives.read()

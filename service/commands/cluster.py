@@ -15,7 +15,7 @@ from rich.markup import escape
 
 from joulemap.model.errors import BusyError
 from joulemap.service.cluster.address import scheduler_address
-from joulemap.service.commands.arguments import TYPED
+from joulemap.service.commands.console import TYPED
 
 if TYPE_CHECKING:
     from distributed import Client

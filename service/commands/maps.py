@@ -1,4 +1,4 @@
-"""`joulemap costmap`: from a heightmap to a cost map, here or in a service."""
+"""`joulemap costmap`: from a heightmap to a cost map, here or in a service; `joulemap export`: for other programs."""
 
 from __future__ import annotations
 
@@ -11,9 +11,17 @@ import typer
 
 from joulemap.model.errors import TooLargeError
 from joulemap.service.commands.answers import say_map, served_map
-from joulemap.service.commands.arguments import RUNNING, with_option_names
 from joulemap.service.commands.cluster import Scheduler, costmap_there
-from joulemap.service.commands.console import JsonFile, Output, leaves_nothing_behind, progress_bar, write_file
+from joulemap.service.commands.console import (
+    RUNNING,
+    JsonFile,
+    Output,
+    check_origin,
+    leaves_nothing_behind,
+    progress_bar,
+    with_option_names,
+    write_file,
+)
 from joulemap.service.commands.options import (
     HeightmapArgument,
     ModelName,
@@ -26,10 +34,11 @@ from joulemap.service.commands.options import (
     robot_words,
 )
 from joulemap.service.commands.paths import FROM_DISK
-from joulemap.service.commands.remote import Remote, refuse_local, unpack
+from joulemap.service.commands.remote import MapOrId, Remote, refuse_local, unpack
 
 if TYPE_CHECKING:
     from joulemap.model.frames import GridFrame
+
 
 MOST_VALUES = 400_000_000
 """Most rows x columns x headings of a cost map unless the user allows more: the limit of `planner.lattice.build` for a
@@ -211,3 +220,57 @@ def _say_size(output: Output, ground: GridFrame, max_values: int, *, spacing_m: 
         )
     if tiling.values > _WORTH_SAYING:
         output.say(size)
+
+
+def export(
+    costmap: MapOrId,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            metavar="FILE",
+            help="Suffix .tif (GeoTIFF), .cog.tif (cloud-optimised), .yaml (Nav2 map, its image beside it) or "
+            ".graph.geojson (Nav2 route graph).",
+        ),
+    ],
+    format: Annotated[
+        str | None,
+        typer.Option("--format", metavar="NAME", help="Whatever the suffix: geotiff, cog, nav2-map, nav2-graph."),
+    ] = None,
+    origin: Annotated[
+        str | None,
+        typer.Option(
+            "--origin",
+            metavar="X,Y",
+            callback=check_origin,
+            help="Of Nav2 formats: the place that gets the coordinates 0,0 [m].",
+        ),
+    ] = None,
+    json_file: JsonFile = None,
+    *,
+    remote: Remote,
+) -> None:
+    """Write a **cost map for another program**: GIS (GeoTIFF), Nav2 (map, route graph).
+
+    Examples:
+
+    `joulemap export dem.zarr --out site.yaml`
+
+    `joulemap export dem.zarr --out site.cog.tif`
+    """
+    from joulemap.planner.lattice.loading import load_lattice
+    from joulemap.service.exports.formats import format_of
+    from joulemap.service.exports.maps import MAP_FORMATS, ZIP, save_map
+
+    output, chosen = Output(json_file), format_of(MAP_FORMATS, out, format)
+    if remote.server is not None:
+        if chosen.media_type == ZIP and out.suffix != ".zip":
+            raise typer.BadParameter(f"a service answers {chosen.name} as a zip: let --out end with .zip")
+        with remote.client() as service:
+            write_file(out, service.open_costmap(str(costmap)).data(chosen.name, origin=origin))
+        written = [out]
+    else:
+        with progress_bar("Export"):
+            written = save_map(load_lattice(costmap), out, chosen.name, origin=origin)
+    output.say(f"{', '.join(map(str, written))}: {chosen.words}", head="Written")
+    output.document({"format": chosen.name, "written": [str(path) for path in written]})

@@ -18,8 +18,8 @@ from joulemap.model.errors import PointError
 from joulemap.model.frames import GridFrame
 from joulemap.service.exports.mission import WAYPOINT
 from joulemap.service.exports.track import BESIDE
+from joulemap.service.places.areas_given import geometries
 from joulemap.service.places.coordinates import from_wgs84, on_map, to_wgs84
-from joulemap.service.places.geojson import geometries
 
 _GAP_M = 0.02  # lines of a tour touch but for what a writer rounds off, at both ends
 _EARTH = ("OGC:CRS84", "urn:ogc:def:crs:OGC:1.3:CRS84", "urn:ogc:def:crs:OGC::CRS84", "EPSG:4326")

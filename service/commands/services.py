@@ -43,9 +43,9 @@ def serve(
 
     from joulemap.service.http.app import create_app
     from joulemap.service.http.logs import log_config
-    from joulemap.service.http.slow_clients import FILES_EACH, most_connections
+    from joulemap.service.http.middleware import FILES_EACH, most_connections
     from joulemap.service.storage.database import check_pages
-    from joulemap.service.storage.private import others_get_nothing
+    from joulemap.service.storage.files import others_get_nothing
 
     settings = writable(settings_of(host=host, port=port, data_dir=data_dir))
     with opened_store(settings) as store:  # what is wrong with the database is said here, and not by the server

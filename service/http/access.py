@@ -22,8 +22,7 @@ from joulemap.model.errors import BusyError, ForbiddenError, RateError, Unauthor
 from joulemap.service.hosting.settings import Settings
 from joulemap.service.http.middleware import Middleware
 from joulemap.service.problems import no_database
-from joulemap.service.storage.keys import all_keys, fits, prefix_of
-from joulemap.service.storage.owners import NOBODY, Caller
+from joulemap.service.storage.owners import NOBODY, Caller, all_keys, fits, prefix_of
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import KeyRow
 

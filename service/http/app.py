@@ -18,7 +18,7 @@ from starlette.middleware.cors import CORSMiddleware
 from joulemap.service.hosting.settings import Settings
 from joulemap.service.http import documents, problem_answers
 from joulemap.service.http.access import Admission, KeyCheck, Keys, TrustedPages, warn_if_open
-from joulemap.service.http.middleware import RequestLimits
+from joulemap.service.http.middleware import RequestLimits, SlowClients
 from joulemap.service.http.observed import Observed
 from joulemap.service.http.routes import (
     calibrations,
@@ -34,7 +34,6 @@ from joulemap.service.http.routes import (
     runs,
 )
 from joulemap.service.http.service import Service
-from joulemap.service.http.slow_clients import SlowClients
 from joulemap.service.http.watched import on_the_loop
 
 DESCRIPTION = """Energy planner for ground robots. Send a heightmap, and ask for a directional cost map, energy-optimal

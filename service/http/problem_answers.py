@@ -19,8 +19,7 @@ from starlette.requests import ClientDisconnect
 from starlette.routing import compile_path
 
 from joulemap.model.errors import BusyError, DamagedError, JoulemapError, StorageFullError
-from joulemap.service.problems import MEDIA_TYPE, from_outside, problem, problem_of
-from joulemap.service.schemas.findings import findings
+from joulemap.service.problems import MEDIA_TYPE, findings, from_outside, problem, problem_of
 
 _LOG = logging.getLogger("joulemap.service")
 _CLOSED = 499  # as nginx logs a request whose client closed the connection; nobody reads it

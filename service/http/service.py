@@ -20,17 +20,16 @@ import anyio
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import BusyError, ConflictError, InputError, JoulemapError, NotFoundError
 from joulemap.model.runs.files import same_content
-from joulemap.service.hosting.memory import give_back_freed_memory
 from joulemap.service.hosting.settings import Settings
+from joulemap.service.hosting.system import give_back_freed_memory
 from joulemap.service.http.access import AtOnce
 from joulemap.service.http.driving import Drives, look_at_drives
-from joulemap.service.http.health import NOT_YET, OK, Health
 from joulemap.service.http.job_events import JobEvents, look_into
 from joulemap.service.http.kernels import Kernels
 from joulemap.service.http.metrics import Metrics
 from joulemap.service.http.open_maps import KeptAnswers, OpenMaps
 from joulemap.service.http.retention import Retention
-from joulemap.service.http.watched import ScheduledCheck, watch
+from joulemap.service.http.watched import NOT_YET, OK, Health, ScheduledCheck, watch
 from joulemap.service.http.work_queue import queues
 from joulemap.service.intake.limits import ReadLimits, RunLimits, RunReading
 from joulemap.service.intake.readers import Readers

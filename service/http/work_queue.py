@@ -19,8 +19,8 @@ import numba
 from joulemap.model.errors import BusyError
 from joulemap.planner.grid.stopping import Flag, new_flag, stoppable
 from joulemap.service.hosting.fair_slots import FairSlots, Owner, Slot
-from joulemap.service.hosting.priority import LONG_NICE, be_nice
 from joulemap.service.hosting.settings import Settings
+from joulemap.service.hosting.system import LONG_NICE, be_nice
 from joulemap.service.http.open_maps import OpenMaps
 
 Result = TypeVar("Result")

@@ -19,7 +19,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from joulemap.service.hosting.priority import LONG_NICE, be_nice
+from joulemap.service.hosting.system import LONG_NICE, be_nice
 from joulemap.service.intake.guard import prepared, read
 
 BEGUN = b"\n"

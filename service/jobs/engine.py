@@ -20,8 +20,8 @@ from sqlalchemy.exc import OperationalError
 
 from joulemap.model.errors import InputError
 from joulemap.service.cluster.connection import Attendance
-from joulemap.service.hosting.priority import JOB_NICE
 from joulemap.service.hosting.settings import Settings
+from joulemap.service.hosting.system import JOB_NICE
 from joulemap.service.jobs import calibrations, costmaps
 from joulemap.service.problems import problem_of
 from joulemap.service.storage.store import Store

@@ -447,8 +447,8 @@ class CostMap(Shown):
         InputError
             On another view, or without a heading where one is needed.
         """
-        from joulemap.service.render.map_drawing import draw_costmap
-        from joulemap.service.render.map_style import new_axes
+        from joulemap.service.render.energy_colours import draw_costmap
+        from joulemap.service.render.raster_shading import new_axes
 
         ax = new_axes() if ax is None else ax
         view = view or ("mean" if heading_deg is None else "heading")

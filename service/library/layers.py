@@ -16,8 +16,7 @@ from joulemap.model.terrain.layers.kinds import Legend, legend_of, read_legend
 from joulemap.model.terrain.layers.layer import COST, KINDS, check_legend
 from joulemap.model.terrain.layers.polygons import areas_document, polygon_layer
 from joulemap.model.terrain.layers.reading import array_layer, layer_of, read_layer
-from joulemap.service.library.data_array import says_where
-from joulemap.service.library.heightmaps import ground_of
+from joulemap.service.library.heightmaps import ground_of, says_where
 
 if TYPE_CHECKING:
     from joulemap.service.library.heightmaps import GroundLike
@@ -138,7 +137,7 @@ def _of_data_array(value: Any) -> Any:
     from rasterio.transform import Affine
 
     from joulemap.model.terrain.layers.reading import Raster
-    from joulemap.service.library.data_array import grid_of
+    from joulemap.service.library.heightmaps import grid_of
 
     grid = grid_of(value)
     return Raster(

@@ -228,7 +228,7 @@ class PlannedRoute(Shown, Planned):
             The map, in metres of its CRS.
         """
         from joulemap.service.render.ground_drawing import draw_lattice_ground
-        from joulemap.service.render.map_style import new_axes
+        from joulemap.service.render.raster_shading import new_axes
         from joulemap.service.render.route_drawing import draw_routes
 
         ax = new_axes() if ax is None else ax
@@ -258,7 +258,7 @@ class PlannedRoute(Shown, Planned):
         InputError
             On another quantity.
         """
-        from joulemap.service.render.map_style import OPTIMAL, SHORTEST, new_axes
+        from joulemap.service.render.raster_shading import OPTIMAL, SHORTEST, new_axes
         from joulemap.service.render.route_drawing import draw_profile
 
         if quantity not in ("energy", "elevation"):
@@ -360,7 +360,7 @@ class PlannedTour(Planned):
             The map, in metres of its CRS.
         """
         from joulemap.service.render.ground_drawing import draw_lattice_ground
-        from joulemap.service.render.map_style import OPTIMAL, new_axes
+        from joulemap.service.render.raster_shading import OPTIMAL, new_axes
 
         ax = new_axes() if ax is None else ax
         draw_lattice_ground(ax, self.lattice)

@@ -28,10 +28,10 @@ from joulemap.model.runs.calibration_runs import CalibrationRuns
 from joulemap.model.runs.residuals import Residuals
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.service.loop.deprecated_keys import with_former_keys
 from joulemap.service.loop.measured import Measured, measure, sites_document
 from joulemap.service.loop.next_drive import next_drive
 from joulemap.service.loop.rerouting import AskedTask, Comparison, compare_routes
+from joulemap.service.loop.summary import with_former_keys
 from joulemap.service.models import CALIBRATED_FOLDER, load_model, model_name, planning_robot
 
 FloatArray = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""The runs of a calibration beside the prediction of its base model, those of all sites together."""
+"""The runs of a calibration beside the prediction of its base model, of all sites together, also segment by segment."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.errors import RunsError
+from joulemap.model.loop.calibrate import Calibration
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import CalibrationRuns, SiteSegments
 from joulemap.model.runs.consistency import check_units
@@ -139,3 +140,25 @@ _GROUPS = ("new", "baseline", "test")
 
 def _names(segments: Segments | None) -> list[str]:
     return [] if segments is None else list(segments.runs)
+
+
+MOST_SEGMENTS = 20_000
+"""Of more, evenly spaced ones are kept."""
+
+
+def segments_document(found: Calibration) -> dict[str, Any]:
+    """Return what was measured and predicted, segment by segment."""
+    residuals, moving = found.residuals, found.residuals.moving
+    step = max(1, -(-int(moving.sum()) // MOST_SEGMENTS))
+    columns = {
+        "x": residuals.features.x,
+        "y": residuals.features.y,
+        "measured": residuals.measured,
+        "before": found.held_out["before"],
+        "after": found.held_out["after"],
+    }
+    runs = []
+    for number, name in enumerate(residuals.runs):
+        rows = np.flatnonzero(moving & (residuals.features.run == number))[::step]
+        runs.append({"name": name, **{key: np.round(of[rows], 3).tolist() for key, of in columns.items()}})
+    return {"unit": "A s" if residuals.charge else "J", "runs": [run for run in runs if run["x"]]}

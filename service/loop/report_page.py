@@ -38,7 +38,6 @@ from joulemap.service.loop.error_words import (
     validation_words,
     variation_words,
 )
-from joulemap.service.loop.next_words import NextStep, drive_words, likeliest
 from joulemap.service.loop.report_figures import (
     LEAST_SPAN,
     against_figures,
@@ -48,7 +47,7 @@ from joulemap.service.loop.report_figures import (
     prediction_figures,
     residual_maps,
 )
-from joulemap.service.loop.summary import headline, range_words
+from joulemap.service.loop.summary import NextStep, drive_words, headline, likeliest, range_words
 from joulemap.service.render.pictures import route_picture
 from joulemap.service.words import p_words, percent
 

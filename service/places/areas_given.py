@@ -1,8 +1,8 @@
-"""Areas as Python users have them, as corners: polygons of shapely, tables of GeoPandas, boolean masks of a map."""
+"""Areas as Python users have them, as corners: polygons of shapely, tables of GeoPandas, masks of a map; GeoJSON."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,29 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
-from joulemap.service.places.geojson import geometries
+
+_NONE: Mapping[str, Any] = {}
+_MULTI = "Multi"
+
+
+def geometries(document: Any, properties: Mapping[str, Any] = _NONE) -> Iterator[tuple[Any, Mapping[str, Any]]]:
+    """Yield each single geometry with the properties of its feature."""
+    kind = document.get("type")
+    if kind == "FeatureCollection":
+        for feature in document["features"]:
+            yield from geometries(feature)
+    elif kind == "Feature":
+        if document["geometry"] is not None:
+            yield from geometries(document["geometry"], document.get("properties") or _NONE)
+    elif kind == "GeometryCollection":
+        for geometry in document["geometries"]:
+            yield from geometries(geometry, properties)
+    elif str(kind).startswith(_MULTI):
+        for coordinates in document["coordinates"]:
+            yield {"type": kind.removeprefix(_MULTI), "coordinates": coordinates}, properties
+    else:
+        yield document, properties
+
 
 Corners = Sequence[Any]
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
-from joulemap.service.schemas.findings import BODY, findings
+from joulemap.service.problems import BODY, findings
 
 Model = TypeVar("Model", bound=BaseModel)
 _REGISTERED = ("planner", "architecture")

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.frames import GridFrame
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.service.render.map_style import style_map
-from joulemap.service.render.raster_shading import Extent, Image, centres, hillshade, thinned
+from joulemap.service.render.raster_shading import Extent, Image, centres, hillshade, style_map, thinned
 
 _TERRAIN = LinearSegmentedColormap.from_list("terrain", ["#9dbb94", "#d5d5a4", "#ead9b0", "#f4ead8"])
 REASONS = {  # face colour, hatch, colour of the hatch: none of them is a colour of the price

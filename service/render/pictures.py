@@ -24,6 +24,7 @@ from joulemap.planner.areas.energy_map import EnergyMap, FieldKind
 from joulemap.planner.areas.reach_map import ReachMap
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.route import Route
+from joulemap.service.render.energy_colours import draw_costmap
 from joulemap.service.render.ground_drawing import (
     REASONS,
     draw_ground,
@@ -31,10 +32,8 @@ from joulemap.service.render.ground_drawing import (
     hatch_area,
     tinted_relief,
 )
-from joulemap.service.render.map_drawing import draw_costmap
 from joulemap.service.render.map_layers import coarse_heights
-from joulemap.service.render.map_style import FAINT, INK, OPTIMAL, SHORTEST, style_map
-from joulemap.service.render.raster_shading import centres, hillshade
+from joulemap.service.render.raster_shading import FAINT, INK, OPTIMAL, SHORTEST, centres, hillshade, style_map
 from joulemap.service.render.route_drawing import draw_profile, draw_routes
 
 _MARKED = {HEIGHT: ("heights of a layer [m]", "////", "#0072B2"), FACTOR: ("factor", "\\\\\\\\", "#7a4a00"),

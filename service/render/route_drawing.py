@@ -10,7 +10,7 @@ from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import MaxNLocator
 
 from joulemap.planner.route import Route
-from joulemap.service.render.map_style import INK, OPTIMAL, SHORTEST, quiet
+from joulemap.service.render.raster_shading import INK, OPTIMAL, SHORTEST, quiet
 
 
 def draw_routes(

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from joulemap.service.render.map_style import INK
+from joulemap.service.render.raster_shading import INK
 
 _NAME_LETTERS = 60
 

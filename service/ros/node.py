@@ -16,13 +16,11 @@ import typer
 
 from joulemap.model.errors import BlockedError, InputError, JoulemapError, NoRouteError, PointError
 from joulemap.planner.route import Route
-from joulemap.service.commands.arguments import Command
-from joulemap.service.commands.console import plain_errors
+from joulemap.service.commands.console import Command, plain_errors
 from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.library.costmaps import CostMap, open_costmap
 from joulemap.service.library.drive import Drive
-from joulemap.service.ros.messages import Frame
-from joulemap.service.ros.seam import Message, Ros
+from joulemap.service.ros.messages import Frame, Message, Ros
 
 _SAME_M = 0.01  # a goal so near to the last place of the path adds nothing
 

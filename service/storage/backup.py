@@ -24,9 +24,8 @@ from sqlalchemy.engine import Engine
 from sqlalchemy.orm import Session
 
 from joulemap.model.errors import ConflictError, InputError
-from joulemap.service.storage.files import remove
+from joulemap.service.storage.files import FOLDER_MODE, remove
 from joulemap.service.storage.kept import engine_of
-from joulemap.service.storage.private import FOLDER_MODE
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import (
     CALIBRATION,

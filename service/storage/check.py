@@ -21,7 +21,6 @@ from joulemap.model.terrain.readers import read_sent
 from joulemap.planner.lattice.checked_store import CheckedStore
 from joulemap.planner.lattice.loading import open_group
 from joulemap.service.storage.files import MODEL_SUMS, bytes_of, changed, remove, sums_of
-from joulemap.service.storage.kept import now
 from joulemap.service.storage.stats import heightmap_stats
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import (
@@ -32,6 +31,7 @@ from joulemap.service.storage.tables import (
     CostmapRow,
     HeightmapRow,
     RunsRow,
+    now,
 )
 from joulemap.service.storage.vault import LOST, ObjectVault
 

@@ -15,8 +15,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
 
 from joulemap.model.errors import ConflictError, StorageFullError
-from joulemap.service.storage.files import remove
-from joulemap.service.storage.private import FOLDER_MODE
+from joulemap.service.storage.files import FOLDER_MODE, remove
 from joulemap.service.storage.tables import JOBS, QUEUED, RUNNING
 
 _RESERVE_BYTES = 4_000_000  # more than the database writes to delete a row

@@ -17,7 +17,7 @@ from joulemap.planner.lattice import CostLattice, checksums
 from joulemap.planner.lattice.folder import LatticeFolder
 from joulemap.planner.lattice.loading import load_lattice
 from joulemap.service.storage.files import sums_of
-from joulemap.service.storage.kept import Kept, now
+from joulemap.service.storage.kept import Kept
 from joulemap.service.storage.tables import (
     CALIBRATION,
     CANCELLED,
@@ -32,6 +32,7 @@ from joulemap.service.storage.tables import (
     CostmapRow,
     DriveRow,
     kind_of,
+    now,
 )
 from joulemap.service.storage.vault import FETCHED, ObjectVault
 

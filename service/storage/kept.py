@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import datetime as dt
 import logging
 import secrets
 import threading
@@ -29,9 +28,8 @@ from joulemap.service.storage.database import (
     loads,
     note_schema,
 )
-from joulemap.service.storage.files import bytes_of, changed, remove, sums_of
+from joulemap.service.storage.files import bytes_of, changed, close_database, remove, say_what_is_open, sums_of
 from joulemap.service.storage.owners import NOBODY, Caller, promised_bytes
-from joulemap.service.storage.private import close_database, say_what_is_open
 from joulemap.service.storage.tables import (
     CALIBRATION,
     Base,
@@ -42,6 +40,7 @@ from joulemap.service.storage.tables import (
     RunsRow,
     named_rasters,
     named_test_runs,
+    now,
 )
 from joulemap.service.storage.vault import ObjectVault, damaged, vault_of
 
@@ -305,11 +304,6 @@ def _sources(row: Any) -> list[tuple[Any, list[str]]]:
     if isinstance(row, CostmapRow):
         return [(HeightmapRow, [row.heightmap_id, *named_rasters(row.request).values()])]
     return []
-
-
-def now() -> dt.datetime:
-    """Return the time as rows have it."""
-    return dt.datetime.now(dt.UTC).replace(tzinfo=None)
 
 
 def engine_of(url: str) -> Engine:

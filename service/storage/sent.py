@@ -18,7 +18,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import open_ground
 from joulemap.model.terrain.windows import Ground
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.service.storage.kept import Kept, now
+from joulemap.service.storage.kept import Kept
 from joulemap.service.storage.stats import noise_of_stats
 from joulemap.service.storage.tables import (
     CALIBRATION,
@@ -30,6 +30,7 @@ from joulemap.service.storage.tables import (
     RunsRow,
     named_rasters,
     named_test_runs,
+    now,
 )
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")

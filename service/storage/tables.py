@@ -230,3 +230,8 @@ def named_test_runs(request: Mapping[str, Any]) -> list[str]:
     """Return the ids of the runs that a calibration was only tested with."""
     named: list[str] = request.get("test_runs", request.get("aside_runs", []))
     return named
+
+
+def now() -> dt.datetime:
+    """Return the time as rows have it."""
+    return dt.datetime.now(dt.UTC).replace(tzinfo=None)

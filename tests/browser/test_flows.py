@@ -18,7 +18,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.questions import feasibility, path
-from joulemap.service.storage.keys import add_key
+from joulemap.service.storage.owners import add_key
 from joulemap.service.storage.store import Store
 from tests.browser.chromium import PHONE, WIDE, inaccessible, opened
 from tests.browser.conftest import serving

@@ -9,9 +9,8 @@ from typing import Annotated
 
 import typer
 
-from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.asked import with_options
-from joulemap.service.commands.console import JsonFile, Output, PlainErrors, progress_bar
+from joulemap.service.commands.console import Command, JsonFile, Output, PlainErrors, progress_bar
 from joulemap.service.commands.options import (
     HeightmapFile,
     Reading,

@@ -21,8 +21,7 @@ from joulemap.service.cli import app
 from joulemap.service.http import access
 from joulemap.service.http.access import BURST_S, Buckets, warn_if_open
 from joulemap.service.http.app import create_app
-from joulemap.service.storage.keys import add_key, all_keys, revoke_keys
-from joulemap.service.storage.owners import Caller
+from joulemap.service.storage.owners import Caller, add_key, all_keys, revoke_keys
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import DONE, CalibrationRow, CostmapRow, HeightmapRow, KeyRow
 from tests.service.conftest import GOAL, START, settings_for

@@ -22,8 +22,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice.build import MAX_LATTICE_VALUES
 from joulemap.service.cli import app
-from joulemap.service.commands.arguments import RENAMED, one_value_each
-from joulemap.service.commands.console import Output
+from joulemap.service.commands.console import RENAMED, Output, one_value_each
 from joulemap.service.commands.maps import MOST_VALUES
 from joulemap.service.library.heightmaps import read_heightmap
 from tests.service import test_cli

@@ -26,7 +26,7 @@ from joulemap.service.client.costmap import ServedCostMap
 from joulemap.service.commands.remote import unpack
 from joulemap.service.http.app import create_app
 from joulemap.service.problems import exit_code, problem_of
-from joulemap.service.storage.keys import add_key
+from joulemap.service.storage.owners import add_key
 from tests.service.conftest import GOAL, IN_HOLE, START, hill, settings_for
 from tests.service.test_calibrations import ROBOT, hills, run_csv
 from tests.service.test_contract import served

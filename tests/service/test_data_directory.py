@@ -28,8 +28,7 @@ from joulemap.service.http.app import create_app
 from joulemap.service.storage import backup as backing_up
 from joulemap.service.storage.backup import back_up, restore
 from joulemap.service.storage.files import MODEL_SUMS, sums_of
-from joulemap.service.storage.kept import now
-from joulemap.service.storage.keys import add_key, all_keys
+from joulemap.service.storage.owners import add_key, all_keys
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import (
     DONE,
@@ -39,6 +38,7 @@ from joulemap.service.storage.tables import (
     CostmapRow,
     HeightmapRow,
     RunsRow,
+    now,
 )
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.test_calibrations import run_csv

@@ -18,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 from joulemap.service.http.app import create_app, openapi_document
 from joulemap.service.http.documents import TOGETHER, recorded_examples
 from joulemap.service.questions.feasibility import FeasibilityRequest
-from joulemap.service.storage.keys import add_key
+from joulemap.service.storage.owners import add_key
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.record_examples import record
 

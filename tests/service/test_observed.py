@@ -18,12 +18,12 @@ import pytest
 from fastapi.testclient import TestClient
 from sqlalchemy.exc import OperationalError
 
-from joulemap.service.http import health as health_module
-from joulemap.service.http.health import OK, Health
+from joulemap.service.http import watched as health_module
 from joulemap.service.http.job_events import JobEvents, JobState
 from joulemap.service.http.logs import JsonLines, TextLines, WithRequestId, WrittenByAThread, log_config
 from joulemap.service.http.metrics import Metrics
 from joulemap.service.http.observed import Observed
+from joulemap.service.http.watched import OK, Health
 from tests.service.conftest import GOAL, START
 from tests.service.test_restart import wait_until as until
 
@@ -293,7 +293,7 @@ def test_freed_arrays_are_given_back():
     """Blocks of 4 MB between small ones that stay: without the call most of what is freed is kept."""
     code = """if True:
         import os, sys
-        from joulemap.service.hosting.memory import give_back_freed_memory
+        from joulemap.service.hosting.system import give_back_freed_memory
         def held():
             return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
         bytearray(30_000_000)  # glibc raises its threshold when such a block is freed

@@ -22,7 +22,7 @@ from joulemap.service.http.retention import SWEEP_S, Retention
 from joulemap.service.intake.limits import ReadLimits
 from joulemap.service.intake.readers import Readers
 from joulemap.service.storage.database import check_pages
-from joulemap.service.storage.keys import add_key, revoke_keys
+from joulemap.service.storage.owners import add_key, revoke_keys
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import SCHEMA, HeightmapRow
 from tests.service.conftest import settings_for

@@ -19,8 +19,8 @@ from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.render import ground_drawing
-from joulemap.service.render.map_style import INK, OPTIMAL, SHORTEST
 from joulemap.service.render.pictures import lattice_image, route_picture
+from joulemap.service.render.raster_shading import INK, OPTIMAL, SHORTEST
 
 
 def rough(rows: int = 30, cols: int = 40) -> Heightmap:

@@ -15,9 +15,8 @@ import uvicorn
 from fastapi import FastAPI, Request, Response
 from starlette.types import Receive, Scope, Send
 
-from joulemap.service.http.middleware import RequestLimits
+from joulemap.service.http.middleware import PROGRESS_BYTES, RequestLimits, SlowClients, most_connections
 from joulemap.service.http.problem_answers import install
-from joulemap.service.http.slow_clients import PROGRESS_BYTES, SlowClients, most_connections
 
 SILENT_S, STALLED_S, LIMIT = 1.0, 1.0, 1_000_000
 POST = "POST /{path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {size}\r\n{more}\r\n"

@@ -27,7 +27,7 @@ from joulemap.model.runs.residuals import joined
 from joulemap.service.loop import calibration
 from joulemap.service.loop import report_page as page
 from joulemap.service.loop.effect_words import curve_points
-from joulemap.service.loop.segments_document import segments_document
+from joulemap.service.loop.measured import segments_document
 from joulemap.service.loop.summary import summary_lines
 from tests.reference.drives import ROBOT, made_up, measured_on, noisy
 from tests.unit.test_report import documented
