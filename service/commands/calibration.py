@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, json_text, progress_bar, write_file
 from joulemap.service.commands.drives import ComparedDrives
 from joulemap.service.commands.options import robot_words
+from joulemap.service.commands.remote import AsOneTask
 from joulemap.service.commands.route_files import RouteFiles
 from joulemap.service.words import energy_words, runs_words
 
@@ -77,8 +77,7 @@ def calibrate(
 
 def _next_steps(document: Mapping[str, Any], out: Path, asked: ComparedDrives, robot: Robot) -> list[NextStep]:
     """What to type after a calibration."""
-    from joulemap.service.loop.error_words import advice
-    from joulemap.service.loop.summary import NextStep, likeliest
+    from joulemap.service.loop.summary import NextStep, advice, likeliest
 
     steps = [] if advice(document) else _plan_with(document, out, asked, robot)
     words = ["joulemap", "suggest-drive", *asked.words()]

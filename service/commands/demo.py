@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
@@ -89,7 +90,7 @@ def run_demo(
         title = f"{name}: energy-optimal and shortest path"
         write_file(picture, route_picture(ground, best, shortest, title=title))
         output.say(f"{picture}", head="\nPicture")
-        answers = {"heightmap": sent, "costmap": costs.about, "path": path, "feasibility": verdict}
+        answers: dict[str, Any] = {"heightmap": sent, "costmap": costs.about, "path": path, "feasibility": verdict}
         document = {key: answer.model_dump(mode="json") for key, answer in answers.items()}
         output.document(
             {"url": url, "picture": str(picture), **document, "start": list(ends[0]), "goal": list(ends[1])}

@@ -11,7 +11,6 @@ import typer
 
 from joulemap.model.errors import TooLargeError
 from joulemap.service.commands.answers import say_map, served_map
-from joulemap.service.commands.cluster import Scheduler, costmap_there
 from joulemap.service.commands.console import (
     RUNNING,
     JsonFile,
@@ -34,7 +33,7 @@ from joulemap.service.commands.options import (
     robot_words,
 )
 from joulemap.service.commands.paths import FROM_DISK
-from joulemap.service.commands.remote import MapOrId, Remote, refuse_local, unpack
+from joulemap.service.commands.remote import MapOrId, Remote, Scheduler, costmap_there, refuse_local, unpack
 
 if TYPE_CHECKING:
     from joulemap.model.frames import GridFrame

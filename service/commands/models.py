@@ -9,7 +9,6 @@ import typer
 
 from joulemap.model.runs.words import number_words
 from joulemap.service.commands.asked import Wanted, flags
-from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, progress_bar
 from joulemap.service.commands.drives import Drives
 from joulemap.service.commands.options import (
@@ -25,6 +24,7 @@ from joulemap.service.commands.options import (
     robot_words,
     there,
 )
+from joulemap.service.commands.remote import AsOneTask
 from joulemap.service.words import runs_words, turning_words
 
 

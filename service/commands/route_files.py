@@ -59,8 +59,7 @@ class RouteFiles:
 
     def wanted(self) -> list[tuple[Path, RouteFile]]:
         """The files that are named, and how each is written. Raises InputError where a name does not say a format."""
-        from joulemap.service.exports.formats import format_of
-        from joulemap.service.exports.origin import FORMATS
+        from joulemap.service.exports.formats import FORMATS, format_of
         from joulemap.service.exports.routes import ROUTE_FORMATS, RouteFile
 
         chosen = [(path, format_of(ROUTE_FORMATS, path, self.format)) for path in self.out or []]

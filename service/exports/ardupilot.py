@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from joulemap.service.exports.mission import CHANGE_SPEED, GROUND_SPEED, UNCHANGED_THROTTLE, WAYPOINT, mission_of
-from joulemap.service.exports.positions import degree_text
-from joulemap.service.exports.track import Track
+from joulemap.service.exports.track import Track, degree_text
 
 _ABSOLUTE_HEIGHT, _RELATIVE_HEIGHT = 0, 3  # MAV_FRAME_GLOBAL and MAV_FRAME_GLOBAL_RELATIVE_ALT
 

@@ -8,8 +8,7 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.service.exports.positions import degree_text
-from joulemap.service.exports.track import Line, Track
+from joulemap.service.exports.track import Line, Track, degree_text
 from joulemap.service.places.coordinates import to_wgs84
 
 COLUMNS = (

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.service.exports.positions import degrees_of
-from joulemap.service.exports.track import Line, Track
+from joulemap.service.exports.track import Line, Track, degrees_of
 
 WGS84, MAP = "wgs84", "map"
 COORDINATES = (WGS84, MAP)

@@ -8,8 +8,7 @@ from typing import Any
 from xml.etree import ElementTree as xml
 
 from joulemap.planner.words import duration_words, energy_words
-from joulemap.service.exports.positions import degree_text, degrees_of
-from joulemap.service.exports.track import Track
+from joulemap.service.exports.track import Track, degree_text, degrees_of
 
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from xml.etree import ElementTree as xml
 
-from joulemap.service.exports.positions import degree_text, degrees_of
-from joulemap.service.exports.track import Track
+from joulemap.service.exports.track import Track, degree_text, degrees_of
 
 NAMESPACE = "http://www.opengis.net/kml/2.2"
 

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from joulemap.planner.lattice import CostLattice
-from joulemap.service.exports.formats import Format, format_of
-from joulemap.service.exports.origin import check_origin, lattice_from
+from joulemap.service.exports.formats import Format, check_origin, format_of, lattice_from
 
 ZIP = "application/zip"
 MAP_FORMATS: dict[str, Format] = {

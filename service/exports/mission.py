@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import Points, leg_prices, path_price, world_points
-from joulemap.service.exports.positions import degrees_of
-from joulemap.service.exports.track import Line, Track
+from joulemap.service.exports.track import Line, Track, degrees_of
 
 ENERGY_SHARE = 0.005
 """By which share of a route's energy its mission may differ: half of the promised 1 %; rounding has the other half."""

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from joulemap.model.errors import InputError
-from joulemap.service.exports.formats import Format
+from joulemap.service.exports.formats import Format, check_origin, track_from
 from joulemap.service.exports.geojson import COORDINATES, MAP, WGS84
-from joulemap.service.exports.origin import check_origin, track_from
 from joulemap.service.exports.track import Track
 from joulemap.service.places.coordinates import known_crs
 

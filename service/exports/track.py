@@ -1,4 +1,4 @@
-"""What a route's file is written from: priced lines on a map, whether of a path, a tour or a suggested drive."""
+"""What a route's file is written from: priced lines on a map, of a path, a tour or a suggested drive; and degrees."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.pricing.integrator import Points, world_points
 from joulemap.planner.route import Profile, Route
+from joulemap.service.exports.clearance import FURTHEST_M, cleared
+from joulemap.service.places.coordinates import DECIMALS, from_wgs84, to_wgs84
 
 if TYPE_CHECKING:  # it takes its time to load
     from joulemap.planner.answers import Plan, RoundTrip
+
 
 OPTIMAL, SHORTEST, ALTERNATIVE, TOUR_LEG, DRIVE = "energy_optimal", "shortest", "alternative", "tour_leg", "drive"
 WAY_OUT, WAY_BACK = "way_out", "way_back"
@@ -148,3 +152,38 @@ def track_of_drive(drive: Mapping[str, Any]) -> Track:
         {"kind": DRIVE, **{key: drive[key] for key in keys}},
     )
     return Track(f"joulemap drive for {drive['label']}", (line,), drive.get("crs"), float(speeds[0]))
+
+
+def degrees_of(track: Track, line: Line) -> NDArray[np.float64]:
+    """Return the corners of a line as a file has them.
+
+    Result (n, 2): longitude, latitude [degrees], rounded, within 1 cm of the corners. Read again, all legs may be
+    driven that may be driven, unless a passage is as narrow as a line.
+    """
+    plain = to_wgs84(track.crs, line.points)
+    if track.lattice is None:
+        return np.round(plain, DECIMALS)
+    lattice = track.lattice
+    places = cleared(
+        lattice,
+        world_points(lattice, line.points),
+        furthest_m=FURTHEST_M,
+        quantise=lambda points: read_again(lattice, points),
+    )
+    x, y = lattice.frame.xy(places[:, 0], places[:, 1])
+    return np.round(to_wgs84(track.crs, np.column_stack([x, y])), DECIMALS)
+
+
+def read_again(lattice: CostLattice, points: Points) -> Points:
+    """Return places of a lattice after they were written in degrees and read again.
+
+    `points` (n, 2): fractional (row, col). The result is (n, 2).
+    """
+    frame = lattice.frame
+    lonlat = np.round(to_wgs84(frame.crs, np.column_stack(frame.xy(points[:, 0], points[:, 1]))), DECIMALS)
+    return world_points(lattice, from_wgs84(frame.crs, lonlat))
+
+
+def degree_text(value: float) -> str:
+    """Return degrees as text. `value`: longitude or latitude [degrees]."""
+    return f"{value:.{DECIMALS}f}"

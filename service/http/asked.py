@@ -12,7 +12,7 @@ from pydantic_core import to_json
 
 from joulemap.model.errors import ConflictError, InputError
 from joulemap.model.robot import Robot
-from joulemap.service.exports.origin import WORDS, check_origin
+from joulemap.service.exports.formats import WORDS, check_origin
 from joulemap.service.exports.routes import ROUTE_FORMATS, RouteFile
 from joulemap.service.exports.track import Track
 from joulemap.service.problems import jsonable

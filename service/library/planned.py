@@ -228,8 +228,8 @@ class PlannedRoute(Shown, Planned):
             The map, in metres of its CRS.
         """
         from joulemap.service.render.ground_drawing import draw_lattice_ground
+        from joulemap.service.render.pictures import draw_routes
         from joulemap.service.render.raster_shading import new_axes
-        from joulemap.service.render.route_drawing import draw_routes
 
         ax = new_axes() if ax is None else ax
         patches = draw_lattice_ground(ax, self.lattice)
@@ -258,8 +258,8 @@ class PlannedRoute(Shown, Planned):
         InputError
             On another quantity.
         """
+        from joulemap.service.render.pictures import draw_profile
         from joulemap.service.render.raster_shading import OPTIMAL, SHORTEST, new_axes
-        from joulemap.service.render.route_drawing import draw_profile
 
         if quantity not in ("energy", "elevation"):
             raise InputError(f"`quantity` is {quantity!r}: give 'energy' or 'elevation'", quantity=quantity)

@@ -26,18 +26,6 @@ from joulemap.service.loop.effect_words import (
     is_shown,
     labels_of,
 )
-from joulemap.service.loop.error_words import (
-    error_states,
-    error_words,
-    level_words,
-    odds_words,
-    plan_words,
-    site_words,
-    unit_of,
-    unknown_words,
-    validation_words,
-    variation_words,
-)
 from joulemap.service.loop.report_figures import (
     LEAST_SPAN,
     against_figures,
@@ -47,7 +35,23 @@ from joulemap.service.loop.report_figures import (
     prediction_figures,
     residual_maps,
 )
-from joulemap.service.loop.summary import NextStep, drive_words, headline, likeliest, range_words
+from joulemap.service.loop.summary import (
+    NextStep,
+    drive_words,
+    error_states,
+    error_words,
+    headline,
+    level_words,
+    likeliest,
+    odds_words,
+    plan_words,
+    range_words,
+    site_words,
+    unit_of,
+    unknown_words,
+    validation_words,
+    variation_words,
+)
 from joulemap.service.render.pictures import route_picture
 from joulemap.service.words import p_words, percent
 

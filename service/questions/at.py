@@ -41,8 +41,8 @@ def answer(found: Found) -> AtOut:
     """As it is sent."""
     import numpy as np
 
-    from joulemap.service.schemas.answers import number
     from joulemap.service.schemas.maps import AtOut
+    from joulemap.service.schemas.planning import number
 
     costs = found.costs
     return AtOut(

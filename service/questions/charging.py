@@ -204,7 +204,7 @@ def _why_not(energy: np.ndarray, battery: Battery, room: float) -> str:
 
 def answer(found: ChargedWay, warnings: list[str]) -> ChargingOut:
     """As it is sent."""
-    from joulemap.service.schemas.answers import path_points
+    from joulemap.service.schemas.planning import path_points
 
     legs = [
         ChargedLegOut(

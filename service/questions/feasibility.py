@@ -59,7 +59,7 @@ def answer(found: Found, warnings: list[str]) -> dict[str, Any]:
     """The values of `FeasibilityOut`."""
     from joulemap.planner.verdict.budget import battery_along
     from joulemap.planner.words import moved_words
-    from joulemap.service.schemas.answers import battery_pieces, route_values, verdict_out
+    from joulemap.service.schemas.planning import battery_pieces, route_values, verdict_out
 
     assessment, volts = found.assessment, found.lattice.robot.nominal_voltage_v
     routes = assessment.routes
@@ -81,7 +81,7 @@ def answer(found: Found, warnings: list[str]) -> dict[str, Any]:
 def track(found: Found, warnings: list[str]) -> Track:
     """What is driven, for other programs: the way out, and the way back of a round trip."""
     from joulemap.service.exports.track import track_of_task
-    from joulemap.service.schemas.answers import verdict_out
+    from joulemap.service.schemas.planning import verdict_out
 
     battery = verdict_out(found.assessment.verdict).model_dump()
     return track_of_task(found.assessment.routes, found.lattice, warnings=warnings, battery=battery)

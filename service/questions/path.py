@@ -91,7 +91,7 @@ def ask(planner: RoutePlanner, wanted: PathRequest, *, progress: Callable[[float
 def answer(found: Found, warnings: list[str]) -> dict[str, Any]:
     """The values of `PathOut`: a model of so many numbers takes longer to make than to write."""
     from joulemap.service.problems import jsonable
-    from joulemap.service.schemas.answers import path_points, profile_pieces, route_values, verdict_out
+    from joulemap.service.schemas.planning import path_points, profile_pieces, route_values, verdict_out
 
     plan, verdict = found.plan, found.verdict
     route, shortest = plan.route, plan.shortest
@@ -116,7 +116,7 @@ def answer(found: Found, warnings: list[str]) -> dict[str, Any]:
 def track(found: Found, warnings: list[str]) -> Track:
     """The paths for other programs."""
     from joulemap.service.exports.track import track_of_plan
-    from joulemap.service.schemas.answers import verdict_out
+    from joulemap.service.schemas.planning import verdict_out
 
     battery = None if found.verdict is None else verdict_out(found.verdict).model_dump()
     return track_of_plan(found.plan, found.lattice, warnings=warnings, battery=battery)

@@ -95,7 +95,7 @@ def ask(planner: RoutePlanner, wanted: SpeedsRequest, ground: Ground, predictor:
 
 def answer(found: Found, warnings: list[str]) -> SpeedsOut:
     """As it is sent."""
-    from joulemap.service.schemas.answers import path_points
+    from joulemap.service.schemas.planning import path_points
 
     return SpeedsOut(
         text=f"{found.speeds}.",

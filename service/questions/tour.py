@@ -73,8 +73,7 @@ def ask(planner: RoutePlanner, wanted: TourRequest, *, progress: Callable[[float
 def answer(found: Found, warnings: list[str]) -> TourOut:
     """As it is sent."""
     from joulemap.service.analysis.route_uncertainty import quantiles_of_route
-    from joulemap.service.schemas.answers import profile_pieces, route_values, verdict_out
-    from joulemap.service.schemas.planning import RouteOut, TourOut
+    from joulemap.service.schemas.planning import RouteOut, TourOut, profile_pieces, route_values, verdict_out
 
     trip, verdict = found.trip, found.verdict
     legs = [RouteOut(**route_values(leg)) for leg in trip.legs]

@@ -1,17 +1,21 @@
-"""A data folder: its locks (several services use it, or one alone), what lies there for nothing, room on its disk."""
+"""A data folder: its locks (of services and of jobs), what lies there for nothing, and room on its disk."""
 
 from __future__ import annotations
 
 import fcntl
+import os
 import secrets
 import shutil
+import struct
 import time
 from collections import Counter
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
-from sqlalchemy import select
+from sqlalchemy import Connection, Engine, select, text
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session, sessionmaker
 
 from joulemap.model.errors import ConflictError, StorageFullError
@@ -180,3 +184,82 @@ def _locked(lock: IO[Any], how: int) -> bool:
 def _is_held(path: Path) -> bool:
     with path.open("rb") as lock:
         return not _locked(lock, fcntl.LOCK_EX)
+
+
+class Claims:
+    """The jobs that one service has claimed."""
+
+    def __init__(self, engine: Engine, file: Path) -> None:
+        self._engine, self._path = engine, file
+        self._file: IO[bytes] | None = None
+        self._connection: Connection | None = None  # whose locks are held as long as it is open
+        self._held: set[str] = set()
+
+    def keep(self, wanted: Iterable[str]) -> set[str]:
+        """Claim all jobs that no other service has, and give back the others.
+
+        Result: those that are claimed; what was claimed before is lost where the database was.
+        """
+        wanted = set(wanted)
+        try:
+            if self._engine.dialect.name != "postgresql":
+                take, give = self._lock_byte, self._unlock_byte
+            else:
+                if self._connection is None:
+                    self._connection = self._engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+                self._connection.execute(text("select 1"))
+                take, give = self._lock_number, self._unlock_number
+            for job_id in self._held - wanted:
+                give(_number(job_id))
+                self._held.discard(job_id)
+            self._held |= {job_id for job_id in wanted - self._held if take(_number(job_id))}
+        except SQLAlchemyError:
+            self.close()
+            raise
+        return set(self._held)
+
+    def close(self) -> None:
+        """Give all jobs back."""
+        self._held.clear()
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+        if self._connection is not None:
+            with suppress(SQLAlchemyError):
+                self._connection.invalidate()  # not back to the pool, with its locks
+                self._connection.close()
+            self._connection = None
+
+    def _lock_byte(self, number: int) -> bool:
+        if self._file is None:
+            self._file = self._path.open("wb")
+        try:
+            self._set_lock(fcntl.F_WRLCK, number)
+        except (BlockingIOError, PermissionError):
+            return False
+        return True
+
+    def _unlock_byte(self, number: int) -> None:
+        self._set_lock(fcntl.F_UNLCK, number)
+
+    def _set_lock(self, kind: int, number: int) -> None:
+        assert self._file is not None
+        if hasattr(fcntl, "F_OFD_SETLK"):
+            wanted = struct.pack("hhqqi", kind, os.SEEK_SET, number, 1, 0)  # struct flock of 64 bits
+            fcntl.fcntl(self._file, fcntl.F_OFD_SETLK, wanted)
+        else:
+            how = fcntl.LOCK_UN if kind == fcntl.F_UNLCK else fcntl.LOCK_EX | fcntl.LOCK_NB
+            fcntl.lockf(self._file, how, 1, number)
+
+    def _lock_number(self, number: int) -> bool:
+        assert self._connection is not None
+        return bool(self._connection.scalar(text("select pg_try_advisory_lock(:number)"), {"number": number}))
+
+    def _unlock_number(self, number: int) -> None:
+        assert self._connection is not None
+        self._connection.execute(text("select pg_advisory_unlock(:number)"), {"number": number})
+
+
+def _number(job_id: str) -> int:
+    """The random number of an id, which has 48 bits."""
+    return int(job_id.rpartition("-")[2], 16)

@@ -17,8 +17,7 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
 from joulemap.model.errors import NotFoundError
-from joulemap.service.storage.claims import Claims
-from joulemap.service.storage.data_folder import DataFolder, Room, Upload
+from joulemap.service.storage.data_folder import Claims, DataFolder, Room, Upload
 from joulemap.service.storage.database import (
     Checkpoints,
     add_missing_columns,

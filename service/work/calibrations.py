@@ -18,10 +18,9 @@ from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.sites import Site
 from joulemap.model.runs.without_map import sites_without_map
 from joulemap.model.terrain.readers import read_sent
-from joulemap.service.loop.error_words import advice
 from joulemap.service.loop.measured import segments_document
 from joulemap.service.loop.report_page import report_page
-from joulemap.service.loop.summary import NextStep
+from joulemap.service.loop.summary import NextStep, advice
 from joulemap.service.models import CALIBRATED_FOLDER
 from joulemap.service.problems import problem_of
 from joulemap.service.questions.calibrating import CalibrationOptions, ask

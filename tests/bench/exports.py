@@ -21,7 +21,7 @@ from joulemap.model.errors import BlockedError
 from joulemap.planner.pricing.integrator import leg_prices, world_points
 from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.exports.mission import mission_of
-from joulemap.service.exports.positions import degrees_of
+from joulemap.service.exports.track import degrees_of
 from tests.service.test_exports import WESTERN, at, ground
 
 

@@ -23,7 +23,7 @@ from joulemap.planner.route_planner import RoutePlanner
 from joulemap.service.analysis.route_uncertainty import quantiles_of_route
 from joulemap.service.cli import app
 from joulemap.service.library.costmaps import CostMap
-from joulemap.service.schemas.answers import profile_pieces
+from joulemap.service.schemas.planning import profile_pieces
 from tests.service.conftest import GOAL, START, hill
 
 FEW = Spread(run_share=0.08, freedom=12.0, run_freedom=4.0)

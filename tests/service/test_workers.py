@@ -26,7 +26,7 @@ from joulemap.service.cluster.connection import connected
 from joulemap.service.http.app import create_app
 from joulemap.service.jobs.costmaps import make
 from joulemap.service.library.heightmaps import read_heightmap
-from joulemap.service.storage.claims import Claims
+from joulemap.service.storage.data_folder import Claims
 from joulemap.service.storage.store import Store
 from joulemap.service.work import tiles
 from joulemap.service.work.tiles import MapOrder
@@ -189,7 +189,7 @@ def test_a_job_is_claimed_once_and_given_back_by_a_process_that_ends(tmp_path: P
         url = server.url if server else f"sqlite:///{tmp_path / 'a.db'}"
         code = (
             "import sys; from pathlib import Path; from sqlalchemy import create_engine\n"
-            "from joulemap.service.storage.claims import Claims\n"
+            "from joulemap.service.storage.data_folder import Claims\n"
             "claims = Claims(create_engine(sys.argv[1]), Path(sys.argv[2]))\n"
             "print(sorted(claims.keep(['cm-01', 'cm-02'])), flush=True)\n"
             "sys.stdin.read()"

@@ -19,10 +19,18 @@ from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop import calibration
 from joulemap.service.loop.calibration import Calibrated, campaigns_of
 from joulemap.service.loop.effect_words import base_name, base_words, confounded_words, found_words
-from joulemap.service.loop.error_words import error_words, plan_words
 from joulemap.service.loop.next_drive import NextDrive, next_drive
 from joulemap.service.loop.report_page import report_page
-from joulemap.service.loop.summary import NextStep, drive_words, headline, likeliest, summary_lines, with_former_keys
+from joulemap.service.loop.summary import (
+    NextStep,
+    drive_words,
+    error_words,
+    headline,
+    likeliest,
+    plan_words,
+    summary_lines,
+    with_former_keys,
+)
 from joulemap.service.words import p_words
 from tests.reference.drives import ROBOT, found_in, made_up, noisy
 from tests.reference.words import shown

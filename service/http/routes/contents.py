@@ -11,8 +11,8 @@ from pydantic import BaseModel, Field
 from joulemap.model.errors import InputError
 from joulemap.model.ranges import HEADING_DEG
 from joulemap.planner.lattice.npz import export_npz
+from joulemap.service.exports.formats import WORDS, check_origin
 from joulemap.service.exports.maps import MAP_FORMATS, map_files, zip_folder, zipped
-from joulemap.service.exports.origin import WORDS, check_origin
 from joulemap.service.http.asked import answer_of, attachment
 from joulemap.service.http.dependencies import CostmapDep
 from joulemap.service.http.documents import BINARY, problems

@@ -42,9 +42,9 @@ from joulemap.service.render.map_pieces import (
     roses,
 )
 from joulemap.service.render.raster_shading import centres, thinned
-from joulemap.service.schemas.answers import number
 from joulemap.service.schemas.base import Coordinate, within
 from joulemap.service.schemas.maps import BlockedColourOut, ColourScaleOut, LayersOut, RosesOut, SurfaceOut
+from joulemap.service.schemas.planning import number
 
 router = APIRouter()
 _MAPS: list[Any] = ["cost maps"]
