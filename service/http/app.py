@@ -25,13 +25,12 @@ from joulemap.service.http.routes import (
     contents,
     costmaps,
     drives,
-    heightmaps,
     jobs,
     layers,
     meta,
     page,
     questions,
-    runs,
+    sent,
 )
 from joulemap.service.http.service import Service
 from joulemap.service.http.watched import on_the_loop
@@ -70,10 +69,9 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.service = service
     for module in (  # the first routes are found soonest
         questions,
-        heightmaps,
+        sent,
         costmaps,
         contents,
-        runs,
         calibrations,
         jobs,
         drives,

@@ -29,15 +29,7 @@ from joulemap.service.http.long_questions import EVENTS, Report, events, while_c
 from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.places.coordinates import known_crs
 from joulemap.service.questions import charging, feasibility, homeward, matrix, path, reach, speeds, tour
-from joulemap.service.questions.charging import ChargingOut, ChargingRequest
-from joulemap.service.questions.feasibility import FeasibilityRequest
-from joulemap.service.questions.homeward import ReturnOut, ReturnRequest
-from joulemap.service.questions.matrix import MatrixOut, MatrixRequest
 from joulemap.service.questions.parts import OnMap
-from joulemap.service.questions.path import PathRequest
-from joulemap.service.questions.reach import ReachOut, ReachRequest, reach_geojson
-from joulemap.service.questions.speeds import SpeedsOut, SpeedsRequest
-from joulemap.service.questions.tour import TourRequest
 from joulemap.service.render.pictures import reach_image
 from joulemap.service.schemas.planning import FeasibilityOut, PathOut, TourOut
 
@@ -89,7 +81,7 @@ def _answered(
         **problems(404, 409, 503),
     },
 )
-async def find_path(wanted: PathRequest, on: CostmapDep, file: FileWanted) -> Any:
+async def find_path(wanted: path.PathRequest, on: CostmapDep, file: FileWanted) -> Any:
     """The energy-optimal path from start to goal with its energy and profile, and the shortest path for comparison.
 
     On a large cost map this takes up to a minute. It ends when the connection is closed. With the header `Accept:
@@ -113,14 +105,14 @@ async def find_path(wanted: PathRequest, on: CostmapDep, file: FileWanted) -> An
 
 
 @router.post("/tours", response_model=TourOut, responses=_ROUTES)
-async def find_tour(wanted: TourRequest, on: CostmapDep, file: FileWanted) -> Any:
+async def find_tour(wanted: tour.TourRequest, on: CostmapDep, file: FileWanted) -> Any:
     """The tour of least energy that visits all stops, in the best order or as given."""
     await on.row()
     return await on.planned(lambda: _answered(tour, on, wanted, file=file, name="tour"))
 
 
-@router.post("/matrix", response_model=MatrixOut, responses=problems(404, 409, 503))
-async def find_matrix(wanted: MatrixRequest, on: CostmapDep) -> Any:
+@router.post("/matrix", response_model=matrix.MatrixOut, responses=problems(404, 409, 503))
+async def find_matrix(wanted: matrix.MatrixRequest, on: CostmapDep) -> Any:
     """Least energies over grid moves between many places, or from each start to the cheapest of some goals.
 
     One search for each start, or for each goal, whichever are fewer. A place on blocked ground is no error: its ways
@@ -129,8 +121,8 @@ async def find_matrix(wanted: MatrixRequest, on: CostmapDep) -> Any:
     return await on.planned(lambda: _answered(matrix, on, wanted))
 
 
-@router.post("/charging", response_model=ChargingOut, responses=problems(404, 409, 503))
-async def find_charging(wanted: ChargingRequest, on: CostmapDep) -> Any:
+@router.post("/charging", response_model=charging.ChargingOut, responses=problems(404, 409, 503))
+async def find_charging(wanted: charging.ChargingRequest, on: CostmapDep) -> Any:
     """The cheapest way from start to goal that never falls below the reserve, charging at the given places.
 
     One energy field for each place, and a route for each way that may be part of the answer. Where no chain of places
@@ -140,7 +132,7 @@ async def find_charging(wanted: ChargingRequest, on: CostmapDep) -> Any:
 
 
 @router.post("/feasibility", response_model=FeasibilityOut, responses=_ROUTES)
-async def ask_feasibility(wanted: FeasibilityRequest, on: CostmapDep, file: FileWanted) -> Any:
+async def ask_feasibility(wanted: feasibility.FeasibilityRequest, on: CostmapDep, file: FileWanted) -> Any:
     """Whether a battery lasts for a given path, or for the best path from start to goal; also for a round trip.
 
     A given path is only priced: it does not wait for the plans of others. So a robot may ask again and again with the
@@ -159,8 +151,8 @@ async def ask_feasibility(wanted: FeasibilityRequest, on: CostmapDep, file: File
     return await (on.service.prices.do(on.id, _judge) if len(given) <= _QUICK else on.priced(_judge))
 
 
-@router.post("/return", response_model=ReturnOut, responses=problems(404, 409, 503))
-async def find_point_of_no_return(wanted: ReturnRequest, on: CostmapDep) -> Any:
+@router.post("/return", response_model=homeward.ReturnOut, responses=problems(404, 409, 503))
+async def find_point_of_no_return(wanted: homeward.ReturnRequest, on: CostmapDep) -> Any:
     """Until where a robot may follow the rest of its path and still come home, or still reach a place to charge.
 
     Made for a robot that asks every second with its place, the rest of its path and its measured charge. The first
@@ -171,8 +163,8 @@ async def find_point_of_no_return(wanted: ReturnRequest, on: CostmapDep) -> Any:
     return await (on.priced if quick else on.planned)(lambda: _answered(homeward, on, wanted))
 
 
-@router.post("/speeds", response_model=SpeedsOut, responses=_ROUTES)
-async def find_speeds(wanted: SpeedsRequest, on: CostmapDep, file: FileWanted) -> Any:
+@router.post("/speeds", response_model=speeds.SpeedsOut, responses=_ROUTES)
+async def find_speeds(wanted: speeds.SpeedsRequest, on: CostmapDep, file: FileWanted) -> Any:
     """The cheapest cruising speed of a route, and its energy against its time at every speed that the model knows.
 
     The route stays as it is for the robot's declared speed. A model that has seen one speed only, or that does not know
@@ -191,9 +183,9 @@ async def find_speeds(wanted: SpeedsRequest, on: CostmapDep, file: FileWanted) -
     return await on.planned(_find)
 
 
-@router.post("/reach", response_model=ReachOut, responses={200: {"content": _AREAS}, **problems(404, 409, 503)})
+@router.post("/reach", response_model=reach.ReachOut, responses={200: {"content": _AREAS}, **problems(404, 409, 503)})
 async def find_reach(
-    wanted: ReachRequest,
+    wanted: reach.ReachRequest,
     on: CostmapDep,
     format: Annotated[
         Literal["json", "geojson", "geotiff", "png"],
@@ -222,7 +214,9 @@ async def find_reach(
         if format == "geotiff":
             return attachment(found.geotiff(), _TIFF, f"{on.id}-reach.tif")
         if format == "geojson":
-            return JSONResponse(reach_geojson(found, warnings, coordinates=coordinates or "wgs84"), media_type=_GEOJSON)
+            return JSONResponse(
+                reach.reach_geojson(found, warnings, coordinates=coordinates or "wgs84"), media_type=_GEOJSON
+            )
         return answer_of(reach.answer(found, warnings))
 
     return await on.planned(_find)

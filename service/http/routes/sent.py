@@ -1,4 +1,4 @@
-"""Measured runs: send, list, get, delete."""
+"""What is sent and kept, heightmaps and measured runs: send, list, get, delete."""
 
 from __future__ import annotations
 
@@ -12,15 +12,60 @@ from joulemap.model.ranges import LONGEST_NAME, NAME_PATTERN, TRACK_M
 from joulemap.model.runs.mapping import read_mapping
 from joulemap.model.runs.odometry import Odometry
 from joulemap.service.http.dependencies import KernelsDep, Limit, Offset, ServiceDep
-from joulemap.service.http.documents import problems, runs_body
-from joulemap.service.http.uploads import arriving, media_type, take_raw_run, take_runs
+from joulemap.service.http.documents import problems, runs_body, upload_body
+from joulemap.service.http.uploads import arriving, media_type, take_form, take_raw, take_raw_run, take_runs
 from joulemap.service.intake.limits import RunReading
+from joulemap.service.questions.reading import UploadOptions
 from joulemap.service.schemas.base import UnreadableOut, within
-from joulemap.service.schemas.kept import listed, runs_out, shown
+from joulemap.service.schemas.kept import heightmap_out, listed, runs_out, shown
 from joulemap.service.schemas.loop import RunsOut
-from joulemap.service.storage.tables import RunsRow
+from joulemap.service.schemas.maps import HeightmapOut
+from joulemap.service.storage.tables import HeightmapRow, RunsRow
 
-router = APIRouter(prefix="/runs", tags=["runs and calibrations"])
+heightmaps = APIRouter(prefix="/heightmaps", tags=["heightmaps"])
+runs = APIRouter(prefix="/runs", tags=["runs and calibrations"])
+router = APIRouter()
+
+
+class HeightmapList(BaseModel):
+    """One page of heightmaps, newest first."""
+
+    total: int
+    items: list[HeightmapOut | UnreadableOut]
+
+
+@heightmaps.post("", status_code=201, responses=problems(503), openapi_extra=upload_body())
+async def send_heightmap(
+    request: Request, response: Response, service: ServiceDep, options: Annotated[UploadOptions, Query()]
+) -> HeightmapOut:
+    """Send a heightmap, as the form field `file` or as the raw body. What the file does not say is a parameter."""
+    if media_type(request) == "multipart/form-data":
+        async with arriving(request, service) as request, request.form(max_files=1, max_fields=20) as form:
+            row = await take_form(request, form, service, options)
+    else:
+        async with arriving(request, service) as request:
+            row = await take_raw(request, service, options)
+    response.headers["Location"] = f"/v1/heightmaps/{row.id}"
+    return heightmap_out(row)
+
+
+@heightmaps.get("", responses=problems())
+def list_heightmaps(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> HeightmapList:
+    """All heightmaps, newest first."""
+    rows, total = service.store.page(HeightmapRow, limit=limit, offset=offset)
+    return HeightmapList(total=total, items=listed(rows, heightmap_out))
+
+
+@heightmaps.get("/{heightmap_id}", responses=problems(404, 409))
+def get_heightmap(heightmap_id: str, service: ServiceDep) -> HeightmapOut:
+    """Size, position and heights of one heightmap."""
+    return shown(service.store.heightmap(heightmap_id), heightmap_out)
+
+
+@heightmaps.delete("/{heightmap_id}", status_code=204, responses=problems(404, 409))
+def delete_heightmap(heightmap_id: str, service: ServiceDep) -> None:
+    """Delete a heightmap. Refused while cost maps or calibrations were made from it."""
+    service.store.delete_heightmap(heightmap_id)
 
 
 class RunsList(BaseModel):
@@ -30,7 +75,7 @@ class RunsList(BaseModel):
     items: list[RunsOut | UnreadableOut]
 
 
-@router.post("", status_code=201, responses=problems(404, 503), openapi_extra=runs_body())
+@runs.post("", status_code=201, responses=problems(404, 503), openapi_extra=runs_body())
 async def send_runs(
     request: Request,
     response: Response,
@@ -99,20 +144,24 @@ async def send_runs(
     return runs_out(row)
 
 
-@router.get("", responses=problems())
+@runs.get("", responses=problems())
 def list_runs(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> RunsList:
     """All runs, newest first."""
     rows, total = service.store.page(RunsRow, limit=limit, offset=offset)
     return RunsList(total=total, items=listed(rows, runs_out))
 
 
-@router.get("/{runs_id}", responses=problems(404, 409))
+@runs.get("/{runs_id}", responses=problems(404, 409))
 def get_runs(runs_id: str, service: ServiceDep) -> RunsOut:
     """What was read from runs that were sent together, and what was left out and why."""
     return shown(service.store.runs(runs_id), runs_out)
 
 
-@router.delete("/{runs_id}", status_code=204, responses=problems(404, 409))
+@runs.delete("/{runs_id}", status_code=204, responses=problems(404, 409))
 def delete_runs(runs_id: str, service: ServiceDep) -> None:
     """Delete runs; refused while there are calibrations made from them."""
     service.store.delete_runs(runs_id)
+
+
+router.include_router(heightmaps)
+router.include_router(runs)
