@@ -187,7 +187,12 @@ def _is_held(path: Path) -> bool:
 
 
 class Claims:
-    """The jobs that one service has claimed."""
+    """The jobs that one service has claimed: of two services on one database, one sends a job off.
+
+    A claim is a lock that ends with its process, however that ends: nobody has to find out who is alive. With
+    PostgreSQL it is an advisory lock of the database; with SQLite, which is for one machine, a byte of a file is
+    locked. On Linux that lock is of the open file, so that two services of one process do not share it.
+    """
 
     def __init__(self, engine: Engine, file: Path) -> None:
         self._engine, self._path = engine, file
