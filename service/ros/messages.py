@@ -1,7 +1,7 @@
-"""Routes, cost maps and forecasts as messages of ROS 2, and what the node needs of it. The frame is x east, y north [m], less an origin.
+"""Routes, cost maps and forecasts as messages of ROS 2, and what the node needs of it: rclpy is loaded only here.
 
-Poses are float64, but renderers and costmaps compute in float32, which has only steps of 0.25 m at UTM coordinates: so
-the origin of the frame is a point near the map.
+The frame is x east, y north [m], less an origin. Poses are float64, but renderers and costmaps compute in float32,
+which has only steps of 0.25 m at UTM coordinates: so the origin of the frame is a point near the map.
 """
 
 from __future__ import annotations
