@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import DamagedError, InputError, NegativeCycleError
 from joulemap.model.frames import GridFrame
+from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import open_ground
