@@ -1,13 +1,9 @@
 """Compiled best-first search over the implicit grid, with buckets of energy instead of a heap.
 
-A bucket holds the states that may be settled within `width` joules, in no order. A state that is improved after it was
+A bucket holds the cells that may be settled within `width` joules, in no order. A cell that is improved after it was
 settled is settled again, so the answer is exact for any width and any admissible guide, and on ties of rounding too
 (Meyer & Sanders 2003, delta-stepping, on one thread). Buckets form a ring; what belongs beyond its end waits in the
 last one and is sorted in again when that comes up.
-
-A state is a cell; where turning costs it is cell * N + the heading of the robot, which is that of a move. It drives
-straight ahead then, or turns on the spot to the next heading on either side. Turns add up, so these reach every heading
-at its own price.
 
 Of a map that is priced tile by tile, a cell whose tile has no prices yet is left unsettled and the tile is noted with
 the least key of such cells; when nothing else may be cheaper the search returns to ask for that tile, and goes on.
@@ -25,7 +21,7 @@ from numpy.typing import NDArray
 BUCKETS = 512
 FIRST_CAPACITY = 128
 SETTLED = 128
-"""Flag in `pred` of states that need no further look."""
+"""Flag in `pred` of cells that need no further look."""
 NEVER = np.int64(1) << 62
 
 
@@ -47,15 +43,14 @@ class Aim(NamedTuple):
     rest: NDArray[np.float64]  # (T, layers): energy from them to the goal by heading [J]
     margin: float  # share of the least energy by which paths may exceed it and still have all their states settled
     most: float  # energy beyond which nothing is settled [J]
-    spent: NDArray[np.float64]  # (states,): energy of a path through each beside the one searched for [J], or empty
-    budget: float  # where both together exceed it [J], the state is left alone
+    spent: NDArray[np.float64]  # (cells,): energy of a path through a cell beside the one searched for [J], or empty
+    budget: float  # where both together exceed it [J], the cell is left alone
 
 
 class Terms(NamedTuple):
     """How a search goes about it."""
 
     cols: int  # of the map
-    layers: int  # headings of a cell: those of the moves, or 1
     width: float  # of a bucket [J]
     slack: float  # relative gain below which a label stays; above 0 where prices may be negative
     backward: bool  # whether moves are run against their direction, each at its own price
@@ -88,10 +83,10 @@ class Guide(NamedTuple):
 class Ring(NamedTuple):
     """A search that may go on."""
 
-    queue: NDArray[np.uint32]  # (BUCKETS, capacity): the states of each bucket
+    queue: NDArray[np.uint32]  # (BUCKETS, capacity): the cells of each bucket
     sizes: NDArray[np.int64]  # (BUCKETS,): their number
     current: np.int64  # the bucket that is next
-    waiting: np.int64  # states in all buckets
+    waiting: np.int64  # cells in all buckets
     beyond: bool  # whether something may wait in the last bucket before its time
     last: np.int64  # the last state before the goal, -1 where it was not reached
     total: float  # energy to the goal [J]
@@ -113,14 +108,22 @@ def bound_at(guide, cell, cols):
         return 0.0
     ahead = guide.known[cell]
     if ahead == 0.0 and guide.pairs.shape[0] > 0:
+        ahead = guide.known[cell] = new_bound(guide, cell, cols)
+    return ahead
+
+
+@njit(cache=True)
+def new_bound(guide, cell, cols):
+    """Return the largest bound of the pairs at a cell [J], 0 where there is no pair."""
+    best = 0.0 if guide.pairs.shape[0] == 0 else -np.inf
+    if guide.pairs.shape[0] > 0:
         row = np.int64(cell) // cols
         down, right = guide.goal[0] - row, guide.goal[1] - (np.int64(cell) - row * cols)
         cells = math.sqrt(down * down + right * right)
-        height, ahead = guide.surface[cell], -np.inf
+        height = guide.surface[cell]
         for k in range(guide.pairs.shape[0]):
-            ahead = max(ahead, guide.pairs[k, 0] * cells - guide.pairs[k, 1] * height + guide.rest[k])
-        guide.known[cell] = ahead
-    return ahead
+            best = max(best, guide.pairs[k, 0] * cells - guide.pairs[k, 1] * height + guide.rest[k])
+    return best
 
 
 @njit(cache=True)
@@ -133,52 +136,56 @@ def _grown(queue, count):
 
 
 @njit(cache=True, inline="always")
-def put(queue, count, bucket, state):
-    """Put a state into a bucket of the ring, whose number is not wrapped.
+def put(queue, count, bucket, cell):
+    """Put a cell into a bucket of the ring, whose number is not wrapped.
 
     Returns the ring, a wider one where it was full.
     """
     slot = bucket & (BUCKETS - 1)
     if count[slot] == queue.shape[1]:
         queue = _grown(queue, count)
-    queue[slot, count[slot]] = state
+    queue[slot, count[slot]] = cell
     count[slot] += 1
     return queue
 
 
 @njit(cache=True)
-def _joined(ring, first, least, guide, terms):
-    """The ring of a search with some states (S,), each once, which are reached with `least` (S,) [J]."""
-    queue, count, current, waiting, beyond = ring.queue, ring.sizes, ring.current, ring.waiting, ring.beyond
+def joined(ring, first, least, guide, terms):
+    """Put cells into the ring of a search, each once.
+
+    `first` (S,): flat indices of the cells; `least` (S,): energy with which they are reached [J]. Returns the ring, and
+    `due` (S,): the bucket of every cell, NEVER for a cell from which the goal cannot be reached.
+    """
     due = np.full(first.size, NEVER)
     for k in range(first.size):
-        key = least[k] + bound_at(guide, first[k] // terms.layers, terms.cols)
-        if key < np.inf:  # else the goal cannot be reached from there
+        key = least[k] + bound_at(guide, first[k], terms.cols)
+        if key < np.inf:
             due[k] = math.floor(key / terms.width)
+    queue, count, current, waiting, beyond = ring.queue, ring.sizes, ring.current, ring.waiting, ring.beyond
     if waiting == 0 and first.size > 0:
         current = due.min()
     for k in range(first.size):
         if due[k] < NEVER:
             beyond |= due[k] >= current + BUCKETS
-            queue = put(queue, count, min(max(due[k], current), current + BUCKETS - 1), first[k])
+            due[k] = min(max(due[k], current), current + BUCKETS - 1)
+            queue = put(queue, count, due[k], first[k])
             waiting += 1
-    return Ring(queue, count, current, waiting, beyond, ring.last, ring.total, ring.expanded, np.int64(-1))
+    return Ring(queue, count, current, waiting, beyond, ring.last, ring.total, ring.expanded, np.int64(-1)), due
 
 
 @njit(cache=True, nogil=True)
-def search_states(energy, pred, moves, tiles, aim, guide, terms, first, ring, stop):
-    """Settle states until no bucket may improve the path to a target, or all of them where there is no target.
+def search_cells(energy, pred, moves, tiles, aim, guide, terms, first, ring, stop):
+    """Settle cells until no bucket may improve the path to a target, or all cells where there is no target.
 
-    `energy` (states,): labels to start from [J], they are changed; `pred` (states,): how a state was reached, 0 for a
-    seed, move + 1, or N + 1 for a turn to the right and N + 2 for one to the left, with the flag `SETTLED` where
-    nothing is left to do, it is changed; `first` (S,): states to go on with; `ring`: an empty one, or that of before;
-    `stop` (1,): the search ends early once this is not 0, see `stopping`. Returns the ring: the search has ended, or
-    wants a tile.
+    `energy` (cells,): labels to start from [J], they are changed; `pred` (cells,): move + 1 by which a cell was
+    reached, 0 for a seed, with the flag `SETTLED` where nothing is left to do, it is changed; `first` (S,): cells to go
+    on with; `ring`: an empty one, or that of before; `stop` (1,): the search ends early once this is not 0, see
+    `stopping`. Returns the ring: the search has ended, or wants a tile.
 
     Reference: Meyer & Sanders 2003 (delta-stepping).
     """
-    count_moves, layers = moves.jump.size, terms.layers
-    cells, turning = np.uintp(energy.size // layers), layers > 1
+    cells = np.uintp(energy.size)
+    count_moves = moves.jump.size
     cols, width, slack, backward = terms.cols, terms.width, terms.slack, terms.backward
     steps = (-moves.jump if backward else moves.jump).astype(np.uintp)
     prices, lengths, near, near_j = moves.price.reshape(-1), moves.lengths, moves.near, moves.near_j
@@ -190,12 +197,11 @@ def search_states(energy, pred, moves, tiles, aim, guide, terms, first, ring, st
     for k in range(first.size):
         pred[first[k]] &= SETTLED - 1
     late = ring.waiting > 0 and first.size > 0  # some of them may have been due before the current bucket
-    ring = _joined(ring, first, energy[first], guide, terms)
+    ring, _ = joined(ring, first, energy[first], guide, terms)
     queue, count, current, waiting, beyond = ring.queue, ring.sizes, ring.current, ring.waiting, ring.beyond
     last, total, expanded, wanted = ring.last, ring.total, ring.expanded, np.int64(-1)
     limit = min(aim.most, total + aim.margin * abs(total)) if last >= 0 else aim.most
     least_parked = parked.min() if tiled else np.inf
-    heading, begin, drives, edges = np.uintp(0), np.int64(0), np.int64(count_moves), np.int64(count_moves)
     while stop[0] == 0:
         ended = waiting == 0 or (current * width >= limit and not late)
         if least_parked < limit and (ended or (least_parked + tiles.thick_j <= current * width and not late)):
@@ -206,20 +212,15 @@ def search_states(energy, pred, moves, tiles, aim, guide, terms, first, ring, st
         here = current % BUCKETS
         k = 0
         while k < count[here]:
-            state = np.uintp(queue[here, k])
+            cell = np.uintp(queue[here, k])
             k += 1
-            if pred[state] >= SETTLED:
+            if pred[cell] >= SETTLED:
                 continue
-            so_far, cell = energy[state], state
-            if turning:
-                cell = state // np.uintp(layers)
-                heading = state - cell * np.uintp(layers)
-                begin = np.int64(heading)
-                drives, edges = begin + 1, begin + 3
+            so_far = energy[cell]
             if beyond:
                 due = math.floor((so_far + bound_at(guide, cell, cols)) * per_j)
                 if due > current:
-                    queue = put(queue, count, min(due, current + BUCKETS - 1), state)
+                    queue = put(queue, count, min(due, current + BUCKETS - 1), cell)
                     waiting += 1
                     continue
             if tiled:
@@ -230,34 +231,24 @@ def search_states(energy, pred, moves, tiles, aim, guide, terms, first, ring, st
                     least_parked = min(least_parked, parked[tile])
                     continue
                 used[tile] = expanded
-            pred[state] |= SETTLED
+            pred[cell] |= SETTLED
             expanded += 1
             for t in range(targets.size):
-                if targets[t] == cell and so_far + target_rest[t, heading] < total:
-                    total = so_far + target_rest[t, heading]
-                    last = np.int64(state)
+                if targets[t] == cell and so_far + target_rest[t, 0] < total:
+                    total = so_far + target_rest[t, 0]
+                    last = targets[t]
                     limit = min(aim.most, total + aim.margin * abs(total))
-            for n in range(begin, edges):
-                if n < drives:
-                    move = np.uintp(n)  # unsigned: none counts from the end
-                    there = cell + steps[move]
-                    if there >= cells:
-                        continue
-                    other, code = there, n + 1
-                    if turning:
-                        other = there * np.uintp(layers) + heading
-                    if tiled and shared and spent[other] == np.inf:  # its prices may not be there
-                        continue
-                    step = np.float64(prices[(there if backward else cell) * np.uintp(count_moves) + move])
-                    if metric:
-                        step = lengths[move] + 0.0 * step  # NaN stays
-                    if marked and near[there if backward else cell] >> np.uint32(n) & np.uint32(1):
-                        step += near_j[move]
-                else:
-                    right = n == drives
-                    to = (begin + (1 if right else layers - 1)) % layers
-                    there, other, code = cell, cell * np.uintp(layers) + np.uintp(to), layers + (1 if right else 2)
-                    step = moves.gap[begin if right else to]
+            for n in range(count_moves):
+                other = cell + steps[n]
+                if other >= cells:
+                    continue
+                if tiled and shared and spent[other] == np.inf:  # its prices may not be there
+                    continue
+                step = np.float64(prices[(other if backward else cell) * np.uintp(count_moves) + np.uintp(n)])
+                if metric:
+                    step = lengths[n] + 0.0 * step  # NaN stays
+                if marked and near[other if backward else cell] >> np.uint32(n) & np.uint32(1):
+                    step += near_j[n]
                 reached = so_far + step
                 before = energy[other]
                 if not reached < before:  # nor where there is no such move
@@ -268,14 +259,14 @@ def search_states(energy, pred, moves, tiles, aim, guide, terms, first, ring, st
                     continue
                 ahead = 0.0
                 if not free:
-                    ahead = known[there]
+                    ahead = known[other]
                     if ahead == 0.0:
-                        ahead = bound_at(guide, there, cols)
+                        ahead = bound_at(guide, other, cols)
                 if ahead == np.inf:
                     continue
                 queued = pred[other] < SETTLED and before < np.inf
                 energy[other] = reached
-                pred[other] = code
+                pred[other] = n + 1
                 due = max(math.floor((reached + ahead) * per_j), current)
                 if queued and math.floor((before + ahead) * per_j) == due:
                     continue

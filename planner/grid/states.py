@@ -17,19 +17,20 @@ from joulemap.planner.grid.buckets import (
     Terms,
     TileState,
     empty_ring,
-    search_states,
+    search_cells,
 )
 from joulemap.planner.grid.stopping import check_stop, stop_flag
 from joulemap.planner.grid.traces import states_before, trace
+from joulemap.planner.grid.turning_search import search_headings
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.moves import MoveTable
 from joulemap.planner.pricing.tiles import Tiles, reserved
 
 _SLACK = 1e-12
 """Relative gain that counts as rounding where prices may be negative, so that no loop goes on for ever."""
-CELL_WIDTH = 1 / 16
-"""Width of a bucket in typical prices. Any width gives the same energies; bounds of a coarse level rise by nearly what
-a move costs, so that wide buckets settle cells again."""
+CELL_WIDTH, _TURN_WIDTH = 1 / 16, 0.6
+"""Width of a bucket in typical prices, and with turning the share of a full turn that it spans. Any width gives the
+same energies; bounds of a coarse level rise by nearly what a move costs, so that wide buckets settle cells again."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,6 +62,11 @@ class Search:
     backward: bool
     tiles: Tiles | None = None
     opened: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
+
+    @property
+    def least_j(self) -> NDArray[np.float64]:
+        """Least energy over the headings of each cell [J]: float64, (cells,)."""
+        return self.energy_j if self.layers == 1 else self.energy_j.reshape(-1, self.layers).min(axis=1)
 
     def open(self, tile: int) -> None:
         """Make the labels of a tile, once: nothing in it was reached.
@@ -104,7 +110,8 @@ class Search:
         Parameters
         ----------
         open_only : bool, default False
-            Whether to leave out those from which a search that ended early has not to go on.
+            Whether to leave out those from which a search that ended early has not to go on; with several layers it
+            has to from all.
 
         Returns
         -------
@@ -115,10 +122,11 @@ class Search:
             parts = [self.reached_in(int(tile), open_only=open_only) for tile in np.flatnonzero(self.opened)]
             return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
         reached = self.energy_j < np.inf
+        if self.layers > 1:
+            return np.unique(np.flatnonzero(reached) // self.layers)
         if open_only:
             reached &= self.pred < SETTLED
-        states = np.flatnonzero(reached)
-        return states if self.layers == 1 else np.unique(states // self.layers)
+        return np.flatnonzero(reached)
 
     def seed(self, cells: NDArray[np.int64], cost: NDArray[np.float64]) -> None:
         """Set the energy of some cells where that is less than they have.
@@ -230,10 +238,15 @@ def run_search(
         table.near_j,
         table.gap_j,
     )
-    width, slack = CELL_WIDTH * table.typical_j, 0.0 if table.never_pays else _SLACK
-    terms = Terms(table.energy.shape[1], layers, width, slack, search.backward)
-    aim = Aim(targets, rest, margin, most, np.empty(0) if spent is None else spent.energy_j, budget)
-    first = (first[:, None] * layers + np.arange(layers)).ravel()
+    width = CELL_WIDTH * table.typical_j
+    if layers > 1:
+        width = table.typical_j + _TURN_WIDTH * float(table.gap_j.sum())
+    terms = Terms(table.energy.shape[1], width, 0.0 if table.never_pays else _SLACK, search.backward)
+    aim = Aim(targets, rest, margin, most, np.empty(0) if spent is None else spent.least_j, budget)
+    if layers > 1:
+        ring = search_headings(search.energy_j, search.pred, moves, aim, guide, terms, first, empty_ring(), stop_flag())
+        check_stop()
+        return ring.last, ring.total, ring.expanded
     state, ring = TileState(np.empty(0, np.uint8), np.empty(0), np.empty(0, np.int64), 0, 0, 0.0), empty_ring()
     tiles = table.tiles
     if tiles is not None:
@@ -241,7 +254,7 @@ def run_search(
         ready, parked = np.zeros(tiles.count, np.uint8), np.full(tiles.count, np.inf)
         state = TileState(ready, parked, tiles.used, tiles.shift, tiles.across, table.typical_j)
     while True:
-        ring = search_states(search.energy_j, search.pred, moves, state, aim, guide, terms, first, ring, stop_flag())
+        ring = search_cells(search.energy_j, search.pred, moves, state, aim, guide, terms, first, ring, stop_flag())
         check_stop()
         if ring.wanted < 0 or tiles is None:
             return ring.last, ring.total, ring.expanded

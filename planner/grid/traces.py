@@ -15,7 +15,8 @@ CODE = SETTLED - 1
 def state_before(pred, state, jump, layers, backward):
     """Return the state that one was reached from, -1 for a seed.
 
-    `pred` (states,): codes as `search_states` left them; `jump` (N,): step of each move in flat indices.
+    `pred` (states,): codes as `search_cells` and `search_headings` left them; `jump` (N,): step of each move in flat
+    indices.
     """
     code = np.int64(pred[state]) & CODE
     if code == 0:
