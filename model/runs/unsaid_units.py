@@ -62,22 +62,12 @@ def off(a: float, b: float) -> float:
 
 @dataclass(frozen=True)
 class Movement:
-    """What a log says of movement.
+    """What a log says of movement; columns are (n,)."""
 
-    Attributes
-    ----------
-    times : dict of str to ndarray of float, (n,)
-        Stamps [s] by the unit that they may be in.
-    places : dict of str to dict
-        Columns of positions by the unit that they may be in; empty without any.
-    speed, counted : ndarray of float, (n,), optional
-        In their own units; a distance that was counted from the first row.
-    """
-
-    times: Mapping[str, FloatArray]
-    places: Mapping[str, Mapping[str, FloatArray]]
-    speed: FloatArray | None = None
-    counted: FloatArray | None = None
+    times: Mapping[str, FloatArray]  # stamps [s] by the unit that they may be in
+    places: Mapping[str, Mapping[str, FloatArray]]  # columns of positions by their unit; empty without any
+    speed: FloatArray | None = None  # in its own unit
+    counted: FloatArray | None = None  # a distance from the first row, in its own unit
     _known: dict[tuple[str, str], float] = field(default_factory=dict)
 
     def cost(self, units: Units) -> float:

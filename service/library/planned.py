@@ -47,6 +47,11 @@ class Planned:
         """What files are written from."""
 
     @property
+    @abstractmethod
+    def _lines(self) -> list[tuple[str, Route]]:
+        """The routes with what each of them is."""
+
+    @property
     def warnings(self) -> list[str]:
         """Where map or robot lie outside what the model learned."""
         return list(self.lattice.provenance.get("warnings", []))
@@ -71,6 +76,31 @@ class Planned:
             If the map has no CRS, and degrees are wanted.
         """
         return geojson_document(self.track, coordinates=coordinates)
+
+    def to_geodataframe(self) -> GeoDataFrame:
+        """Return the routes, or the legs of a tour, as a table with a geometry, a row each. Needs the extra `geo`.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            Columns `kind`, `energy_j` [J], `length_m` [m], `duration_s` [s] and `geometry` in the CRS of the map.
+
+        Raises
+        ------
+        InputError
+            If geopandas is not installed.
+        """
+        try:
+            from geopandas import GeoDataFrame
+            from shapely import LineString
+        except ImportError as error:
+            raise InputError("a GeoDataFrame needs geopandas: pip install 'joulemap[geo]'") from error
+        rows = [{"kind": kind, **route_numbers(route)} for kind, route in self._lines]
+        lines = []
+        for _, route in self._lines:  # a line has two points at least
+            points = route.points if len(route.points) > 1 else np.repeat(route.points, 2, axis=0)
+            lines.append(LineString(points))
+        return GeoDataFrame(rows, geometry=lines, crs=self.lattice.frame.crs)
 
     def save(
         self,
@@ -115,21 +145,6 @@ def route_numbers(route: Route) -> dict[str, float]:
     Result: `energy_j` [J], `length_m` [m] and `duration_s` [s].
     """
     return {"energy_j": route.energy_j, "length_m": route.length_m, "duration_s": route.duration_s}
-
-
-def geodataframe(routes: Sequence[tuple[str, Route]], crs: str | None) -> GeoDataFrame:
-    """Return routes as a table with a geometry."""
-    try:
-        from geopandas import GeoDataFrame
-        from shapely import LineString
-    except ImportError as error:
-        raise InputError("a GeoDataFrame needs geopandas: pip install 'joulemap[geo]'") from error
-    rows = [{"kind": kind, **route_numbers(route)} for kind, route in routes]
-    lines = []
-    for _, route in routes:  # a line has two points at least
-        points = route.points if len(route.points) > 1 else np.repeat(route.points, 2, axis=0)
-        lines.append(LineString(points))
-    return GeoDataFrame(rows, geometry=lines, crs=crs)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -275,27 +290,10 @@ class PlannedRoute(Shown, Planned):
         """The routes as what files are written from."""
         return track_of_plan(self.found, self.lattice, warnings=self.warnings)
 
-    def to_geodataframe(self) -> GeoDataFrame:
-        """Return the routes as a table with a geometry, a row each. Needs the extra `geo`.
-
-        Returns
-        -------
-        geopandas.GeoDataFrame
-            Columns `kind`, `energy_j` [J], `length_m` [m], `duration_s` [s] and `geometry` in the CRS of the map.
-
-        Raises
-        ------
-        InputError
-            If geopandas is not installed.
-        """
-        return geodataframe(
-            [
-                ("energy_optimal", self.route),
-                ("shortest", self.shortest),
-                *(("alternative", other) for other in self.alternatives),
-            ],
-            self.route.crs,
-        )
+    @property
+    def _lines(self) -> list[tuple[str, Route]]:
+        others = [("alternative", other) for other in self.alternatives]
+        return [("energy_optimal", self.route), ("shortest", self.shortest), *others]
 
     def _title(self) -> str:
         return f"Route, found by {self.found.planner}"
@@ -379,20 +377,9 @@ class PlannedTour(Planned):
         """The legs as what files are written from."""
         return track_of_tour(self.found, self.lattice, warnings=self.warnings)
 
-    def to_geodataframe(self) -> GeoDataFrame:
-        """Return the legs as a table with a geometry, a row each. Needs the extra `geo`.
-
-        Returns
-        -------
-        geopandas.GeoDataFrame
-            Columns `kind`, `energy_j` [J], `length_m` [m], `duration_s` [s] and `geometry` in the CRS of the map.
-
-        Raises
-        ------
-        InputError
-            If geopandas is not installed.
-        """
-        return geodataframe([("leg", leg) for leg in self.legs], self.legs[0].crs)
+    @property
+    def _lines(self) -> list[tuple[str, Route]]:
+        return [("leg", leg) for leg in self.legs]
 
     def __repr__(self) -> str:
         return f"<PlannedTour: {len(self.order)} stops, {self.length_m:.1f} m, {energy_words(self.energy_j)}>"
