@@ -15,7 +15,7 @@ from joulemap.model.runs.mapping import Source
 from joulemap.model.runs.names import POSSIBLE
 from joulemap.model.runs.table import FloatArray, spread
 from joulemap.model.runs.units import UNITS, conversion, own_unit
-from joulemap.model.runs.unsaid_units import ALIKE, UNSAID, clear, drawn_cost, fitting
+from joulemap.model.runs.unsaid_units import ALIKE, UNSAID, clear, drawn_cost, fitting, off
 
 _ANOTHER = 0.5  # the power of another part differs from voltage times current by more
 
@@ -67,7 +67,9 @@ def _check_power(numbers: dict[str, FloatArray], source: Source, found: Recognis
     if not {"voltage", "current"} <= numbers.keys():
         placed = {key: each for key, each in numbers.items() if key != "distance"}  # whose steps are coarse
         rising = "t" in numbers and bool((np.diff(numbers["t"]) > 0).all())
-        speed = numbers.get("speed", agreement.speed_of(numbers["t"], placed) if rising else None)
+        frozen = "distance" in numbers and off(agreement.path_of(placed) or 0.0, spread(numbers["distance"])) > 1.0
+        by_place = agreement.speed_of(numbers["t"], placed) if rising and not frozen else None
+        speed = numbers.get("speed", by_place)
         if speed is not None and agreement.drives_nothing(numbers["power"], speed):
             words = f"{column[:60]} is as large at rest as while driving, but for less than the air takes"
             if source.unit:

@@ -21,6 +21,9 @@ from joulemap.planner.lattice.layout import ARRAYS, CHECKED, OBSTACLES, OPTIONAL
 from joulemap.planner.lattice.loading import loaded
 from joulemap.planner.lattice.tiles import TILE_CELLS, Tiling
 
+# zarr 3 has no standard for it yet; both libraries read it. For all threads: `catch_warnings` would take theirs too.
+warnings.filterwarnings("ignore", "Consolidated metadata", UserWarning)
+
 
 class LatticeFolder:
     """A lattice on its way to disk: it is built beside its place, in `path`.partial, and moved there by `finish`.
@@ -233,6 +236,4 @@ def save_lattice(lattice: CostLattice, path: str | Path) -> None:
 def _describe(folder: Path, provenance: dict[str, Any]) -> None:
     """Write the provenance, and a copy of all metadata in one place: without it xarray gives a warning."""
     zarr.open_group(folder, mode="r+").attrs.update({"provenance": provenance, CHECKED: checksums.FILE})
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # zarr 3 has no standard for it yet; both libraries read it
-        zarr.consolidate_metadata(folder)
+    zarr.consolidate_metadata(folder)

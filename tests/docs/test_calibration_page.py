@@ -81,5 +81,5 @@ def test_there_are_few_settings() -> None:
 
 def test_the_procedure_is_short() -> None:
     procedure = PAGE.partition("## The procedure")[2].partition("\n## ")[0]
-    assert len(re.findall(r"^\d+\. ", procedure, re.MULTILINE)) == 12
+    assert len(re.findall(r"^\d+\. ", procedure, re.MULTILINE)) == 7
     assert procedure.count("\n") <= 30

@@ -215,14 +215,6 @@ def test_tables_in_memory_are_runs_as_files_are(tmp_path):
         jm.read_runs({"t": columns["timestamp"], "Speed": np.full(ROWS, 5.0), "power": np.full(ROWS, 90.0)})
 
 
-def test_a_table_in_memory_outlives_a_service_of_the_same_process(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_files, "_folder", cache(run_files._folder.__wrapped__))
-    with TestClient(create_app(settings_for(tmp_path))):
-        runs = jm.read_runs(in_memory())
-    assert all(file.is_file() for file in runs.files)
-    assert len(jm.read_runs(in_memory())) == 1
-
-
 def test_copies_of_a_log_are_one_run(client, tmp_path):
     for name in ("a", "b", "c"):
         (tmp_path / f"{name}.csv").write_text(odd_csv())
@@ -259,3 +251,11 @@ def test_a_yaw_of_unknown_zero_takes_turns_out_that_never_happened(tmp_path):
         assert answer.exit_code == 0, answer.output
         turned.append(cut_segments(read_run(next((tmp_path / f"{name}_kept").glob("*.csv")))).turned_abs_rad.sum())
     assert turned[1] < 0.3 < turned[0]
+
+
+def test_a_table_in_memory_outlives_a_service_of_the_same_process(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_files, "_folder", cache(run_files._folder.__wrapped__))
+    with TestClient(create_app(settings_for(tmp_path))):
+        runs = jm.read_runs(in_memory())
+    assert all(file.is_file() for file in runs.files)
+    assert len(jm.read_runs(in_memory())) == 1
