@@ -32,10 +32,11 @@ if TYPE_CHECKING:
     from joulemap.service.library.comparison import compare
     from joulemap.service.library.costmaps import CostMap, StoredCostMap, costmap, open_costmap
     from joulemap.service.library.drive import Drive
+    from joulemap.service.library.feasibility import Feasibility
     from joulemap.service.library.heightmaps import heightmap, heightmap_from_runs, read_heightmap
     from joulemap.service.library.layers import with_layers
     from joulemap.service.library.models import Evaluation, Model, evaluate, train
-    from joulemap.service.library.planned import Feasibility, PlannedRoute, PlannedTour
+    from joulemap.service.library.planned import PlannedRoute, PlannedTour
     from joulemap.service.library.run_files import Runs, read_runs
 
 __all__ = [
@@ -78,11 +79,12 @@ _HOMES = {
     "joulemap.service.library.calibrations": ("CalibrationResult", "calibrate"),
     "joulemap.service.library.comparison": ("compare",),
     "joulemap.service.library.costmaps": ("CostMap", "StoredCostMap", "costmap", "open_costmap"),
+    "joulemap.service.library.feasibility": ("Feasibility",),
     "joulemap.service.library.heightmaps": ("heightmap", "heightmap_from_runs", "read_heightmap"),
     "joulemap.service.library.layers": ("with_layers",),
     "joulemap.service.library.models": ("Evaluation", "Model", "evaluate", "train"),
     "joulemap.service.library.drive": ("Drive",),
-    "joulemap.service.library.planned": ("Feasibility", "PlannedRoute", "PlannedTour"),
+    "joulemap.service.library.planned": ("PlannedRoute", "PlannedTour"),
     "joulemap.service.library.run_files": ("Runs", "read_runs"),
 }
 

@@ -26,7 +26,8 @@ from joulemap.service.analysis.point_costs import PointCosts
 from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.exports.maps import save_map
 from joulemap.service.library.drive import Drive
-from joulemap.service.library.planned import Feasibility, PlannedRoute, PlannedTour
+from joulemap.service.library.feasibility import Feasibility
+from joulemap.service.library.planned import PlannedRoute, PlannedTour
 from joulemap.service.library.shown import Shown
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.places.coordinates import PlaceLike
