@@ -134,7 +134,7 @@ class Planned:
 
 
 def route_numbers(route: Route) -> dict[str, float]:
-    """Return the numbers by which a route is told in words and tables.
+    """Return the numbers of a route that words and tables give.
 
     Result: `energy_j` [J], `length_m` [m] and `duration_s` [s].
     """

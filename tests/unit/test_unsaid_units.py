@@ -1,4 +1,4 @@
-"""Units that no name says are told by the other columns, and contradictions are said: one drive in several ways."""
+"""Units that no name gives follow from the other columns, and contradictions are reported, on one drive in variants."""
 
 import io
 import json
