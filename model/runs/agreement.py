@@ -7,13 +7,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from joulemap.model.frames import wrap_angle
-from joulemap.model.runs.table import FloatArray
+from joulemap.model.runs.table import FloatArray, known_values
 from joulemap.model.runs.units import UNITS
 
 _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 """Stamps since 1970 in these units are larger than these numbers between 1973 and the year 5000."""
 _SERIAL_DAYS = (20_000.0, 80_000.0)  # dates of spreadsheets from 1954 to 2119
 _SHORTEST_STEP_S = 1e-3  # no log of a vehicle is written more often
+_STEPS = 100_000  # between rows, evenly spread, of which the median is taken
 _EARTH_M = 6_371_000.0
 _DEGREES = 0.1  # a drive of 10 km spans less of both
 _CONFUSED = (3.6, 1.0 / 0.44704, 1.609344, 1000.0)  # m/s with km/h or mph, km with miles, m with km
@@ -35,17 +36,18 @@ LEAST_LOAD_OHM = 0.05
 
 def units_of_stamps(values: FloatArray) -> list[str]:
     """Return the units that stamps without one may be in, the usual one first; `values` is (n,)."""
-    known = values[np.isfinite(values)]
+    known = known_values(values)
     if known.size < 2:
         return ["s"]
     largest = float(np.abs(known).max())
     if epoch := next((word for least, word in _EPOCHS if largest > least), ""):
         return [epoch]
-    steps = np.abs(np.diff(known))
+    row = np.arange(0, known.size - 1, max(known.size // _STEPS, 1))
+    steps = np.abs(known[row + 1] - known[row])
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    clock = known % 100.0 < 60.0, known // 100.0 % 100.0 < 60.0
-    if np.ptp(known) > 100.0 and largest < 240_000.0 and np.all(clock) and step <= 30.0:
-        return ["hhmmss"]  # no two digits of it reach 60
+    if largest < 240_000.0 and step <= 30.0 and np.ptp(known) > 100.0:
+        if (known % 100.0 < 60.0).all() and (known // 100.0 % 100.0 < 60.0).all():
+            return ["hhmmss"]  # no two digits of it reach 60
     low, high = _SERIAL_DAYS
     if low < known.min() and largest < high and 0 < step < _SHORTEST_STEP_S:
         return ["d"]

@@ -13,7 +13,7 @@ from joulemap.model.runs.formats.columns import CLOCK, DATE
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.mapping import Source
 from joulemap.model.runs.names import LIKELY, NAMED, POSSIBLE, Candidate, candidate
-from joulemap.model.runs.table import LEAST_ROWS, FloatArray, spread
+from joulemap.model.runs.table import LEAST_ROWS, FloatArray, known_values, spread
 
 CONFIDENCE = {NAMED: 0.99, LIKELY: 0.95, POSSIBLE: 0.7, 0: 0.6}
 """Of a reading by its name alone; 0 is a column that only its unit points to."""
@@ -90,7 +90,7 @@ def _is_part(column: str, stream: Stream) -> bool:
 
 def speaks(target: str, values: FloatArray) -> bool:
     """Return whether values say something of a quantity: enough are known, and not all are 0."""
-    known = values[np.isfinite(values)]
+    known = known_values(values)
     if known.size < LEAST_ROWS or (target == "t" and np.ptp(known) == 0):
         return False
     return target in _MAY_BE_CONSTANT or bool((known != 0).any())

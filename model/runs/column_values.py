@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from joulemap.model.errors import RunsError
@@ -17,11 +19,8 @@ def read_column(
     target: str, source: Source, stream: Stream, name: str, repairs: dict[str, int]
 ) -> tuple[FloatArray, str]:
     """The values in joulemap's unit, and the unit where it was found out."""
-    total: FloatArray | None = None
-    for sign, column in source.parts:
-        logged = without_marks(numbers_of(stream, column, name), target, column, name, repairs)
-        total = sign * logged if total is None else total + sign * logged
-    assert total is not None
+    logged = [without_marks(numbers_of(stream, each, name), target, each, name, repairs) for each in source.columns]
+    total = _signed_sum(source, logged)
     unit = (
         "" if source.unit or target not in ("lat", "lon") else agreement.degrees_unit(target, total, source.columns[0])
     )
@@ -31,6 +30,16 @@ def read_column(
         total = np.nancumsum(total)
     factor, offset = conversion(target, source.unit or unit) if source.unit or unit else (1.0, 0.0)
     return (total if (factor, offset) == (1.0, 0.0) else factor * total + offset), unit
+
+
+def stamps_of(source: Source, stream: Stream, name: str) -> FloatArray:
+    """Return the time as it is written, in its own unit. Result (n,): NaN where blank."""
+    return _signed_sum(source, [numbers_of(stream, column, name) for column in source.columns])
+
+
+def _signed_sum(source: Source, columns: Sequence[FloatArray]) -> FloatArray:
+    terms = [each if sign > 0 else -each for (sign, _), each in zip(source.parts, columns, strict=True)]
+    return terms[0] if len(terms) == 1 else np.sum(terms, axis=0)
 
 
 def numbers_of(stream: Stream, column: str, name: str) -> FloatArray:

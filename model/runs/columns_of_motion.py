@@ -9,7 +9,7 @@ import numpy as np
 from joulemap.model.errors import RunsError
 from joulemap.model.runs import agreement
 from joulemap.model.runs.candidates import Recognised
-from joulemap.model.runs.column_values import numbers_of, read_column
+from joulemap.model.runs.column_values import read_column, stamps_of
 from joulemap.model.runs.columns_of_power import flows
 from joulemap.model.runs.counters import LONGEST_STEP, no_counter, pauses, summed, total_of, unknown_s
 from joulemap.model.runs.formats.columns import CLOCK, DATE
@@ -88,7 +88,7 @@ def take_movement(
 def _stamps(source: Source, stream: Stream, name: str) -> tuple[FloatArray, list[str]]:
     """The stamps as they are written, and the units that they may be in."""
     kinds = [stream.units.get(column, "") for column in source.columns]
-    total = np.sum([sign * numbers_of(stream, column, name) for sign, column in source.parts], axis=0)
+    total = stamps_of(source, stream, name)
     for kind in (DATE, CLOCK):
         if kind in kinds:
             return total, [kind]

@@ -42,11 +42,8 @@ def take_drawn(
         own = key != "power" and chosen[key].columns == [key]
         return [""] if chosen[key].unit or key in mapping or own else UNSAID[key]
 
-    speed = numbers.get("speed")
-    if speed is None and "t" in numbers and (path_m := agreement.path_of(numbers)):
-        speed = np.full(numbers["t"].size, path_m / max(spread(numbers["t"]), 1e-9))
     choices = {key: _units(key) for key in there}
-    fits = fitting(choices, lambda units: drawn_cost(there, units, speed))
+    fits = fitting(choices, lambda units: drawn_cost(there, units, _speed(numbers)))
     if fits.get("voltage") == ["mV"] and fits.get("current") == ["A"] and "power" not in there:
         fits["voltage"] = fits["current"] = [""]
     for key, units in fits.items():
@@ -59,6 +56,13 @@ def take_drawn(
             )
     if "power" in there and "power" not in mapping:
         _check_power(numbers, chosen["power"], found, name)
+
+
+def _speed(numbers: Mapping[str, FloatArray]) -> FloatArray | None:
+    """The speed [m/s], or else its mean by the positions, (n,)."""
+    if "speed" not in numbers and "t" in numbers and (path_m := agreement.path_of(numbers)):
+        return np.full(numbers["t"].size, path_m / max(spread(numbers["t"]), 1e-9))
+    return numbers.get("speed")
 
 
 def _check_power(numbers: dict[str, FloatArray], source: Source, found: Recognised, name: str) -> None:

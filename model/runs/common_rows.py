@@ -30,7 +30,8 @@ def aligned(
     held = [key for key in needed if key in _HELD or key.startswith("current_")]
     if _of_changes(t, [every[key] for key in held]):
         return _filled(numbers, rest, texts, held)
-    known = {key: np.isfinite(every[key]) & np.isfinite(numbers["t"]) for key in needed}
+    timed = np.isfinite(t)
+    known = {key: np.isfinite(every[key]) & timed for key in needed}
     if not known or float(np.logical_and.reduce([*known.values()]).mean()) > _SPARSE:
         return numbers, rest, texts
     rows = max(known.values(), key=np.sum)
@@ -44,17 +45,20 @@ def aligned(
 
 
 def _of_changes(t: FloatArray, written: Sequence[FloatArray]) -> bool:
-    """Whether a log writes only what changes: no value twice in a row, but for the last, and in most of the time of
-    one of the columns nothing.
+    """Whether a log writes only what changes: in most of the time of one of the columns nothing, and in all no value
+    twice in a row, but for the last.
     """
-    paused = False
-    for values in written:
-        rows = _in_time(t, values)
-        steps = np.diff(t[rows])
-        if (np.diff(values[rows])[:-1] == 0).any():
-            return False
-        paused |= bool(2 * steps[_pauses(steps)].sum() > steps.sum())
-    return paused
+    if not any(_mostly_paused(t, values) for values in written):
+        return False
+    return not any((np.diff(values[_in_time(t, values)])[:-1] == 0).any() for values in written)
+
+
+def _mostly_paused(t: FloatArray, values: FloatArray) -> bool:
+    known = np.isfinite(t) & np.isfinite(values)
+    steps = np.diff(t if known.all() else t[known])
+    if steps.size and steps.min() < 0:
+        steps = np.diff(np.sort(t[known]))
+    return bool(steps.max(initial=0.0) > _PAUSE_S and 2 * steps[_pauses(steps)].sum() > steps.sum())
 
 
 def _filled(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import RunsError
-from joulemap.model.runs.table import FloatArray
+from joulemap.model.runs.table import FloatArray, known_values
 
 BoolArray = NDArray[np.bool_]
 
@@ -91,7 +91,7 @@ def is_per_row(counter: FloatArray) -> bool:
     """Return whether a column rises and falls so much more than it gains that it counts nothing, but says what came
     since the row before. `counter` (n,): NaN where it was not read.
     """
-    known = counter[np.isfinite(counter)]
+    known = known_values(counter)
     steps = np.diff(known)
     return bool(known.size > LONGEST_STEP and np.abs(steps).sum() > LONGEST_STEP * np.ptp(known) > 0)
 

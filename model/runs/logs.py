@@ -164,7 +164,7 @@ def _as_one(
             factor = conversion(target, unit)[0] if unit else 1.0
             values = at_stamps(t, stream.t, values * factor, turning=target in _TURNING) / factor
         numbers[column] = values
-    return Stream("", usable(numbers))
+    return Stream("", {key: usable(each) for key, each in numbers.items()})
 
 
 def _common_stamps(log: Log, chosen: Mapping[str, Source], home: Mapping[str, Stream], name: str) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from joulemap.model.errors import RunsError
-from joulemap.model.runs.table import FloatArray, add_count
+from joulemap.model.runs.table import FloatArray, add_count, known_values
 
 _WHOLE = [
     *(float(2**bits - less) for bits in (16, 24, 32, 64) for less in (1, 2)),
@@ -31,16 +31,16 @@ def without_marks(values: FloatArray, target: str, column: str, name: str, repai
     """
     if target in ("t", "x", "y"):
         return values
-    known = values[np.isfinite(values)]
+    known = known_values(values)
     if not known.size:
         return values
     unknown = np.zeros(values.size, dtype=bool)
-    size = np.abs(known)
-    while size.size and (found := _mark(known, size, target)) is not None:
+    while known.size and (found := _mark(known, target)) is not None:
         unknown |= values == found
         known = known[known != found]
-        size = np.abs(known)
-    if unknown.any() and not np.isfinite(values[~unknown]).any():
+    if not unknown.any():
+        return values
+    if not known.size:
         mark = float(values[unknown][0])
         raise RunsError.of_run(
             name,
@@ -53,11 +53,12 @@ def without_marks(values: FloatArray, target: str, column: str, name: str, repai
     return np.where(unknown, np.nan, values)
 
 
-def _mark(known: FloatArray, size: FloatArray, target: str) -> float | None:
+def _mark(known: FloatArray, target: str) -> float | None:
     """The largest value, or -1, if it is a mark beside these values."""
-    if target in _NO_SIGN and (low := float(known.min())) == -1.0 and (known > 0).any():
+    low, high = float(known.min()), float(known.max())
+    if target in _NO_SIGN and low == -1.0 and high > 0:
         return low
-    value = float(known[int(np.argmax(size))])
+    value = high if high >= -low else low
     near = bool(np.min(np.abs(MARKS - value)) <= 1e-7 * abs(value))
     short = value in _SHORT and value != -1.0
     if not (near or short):

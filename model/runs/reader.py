@@ -53,7 +53,17 @@ from joulemap.model.runs.mapping import CAPACITY, ROW
 from joulemap.model.runs.odometry import Odometry, with_track
 from joulemap.model.runs.reckoning import fill_by_wheels
 from joulemap.model.runs.run import Run
-from joulemap.model.runs.table import LEAST_ROWS, LIMITS, SIDES, TURNING, TableLimits, add_count, columns_there, spread
+from joulemap.model.runs.table import (
+    LEAST_ROWS,
+    LIMITS,
+    SIDES,
+    TURNING,
+    TableLimits,
+    add_count,
+    columns_there,
+    known_values,
+    spread,
+)
 from joulemap.model.runs.table_columns import Table
 
 FloatArray = NDArray[np.float64]
@@ -237,7 +247,7 @@ def _of_charge(numbers: dict[str, FloatArray], name: str) -> tuple[float, float]
     drawn = any(key in ("power", "current", "left_current") or key.startswith("current_") for key in numbers)
     if soc is None or drawn:
         return None
-    known = soc[np.isfinite(soc)]
+    known = known_values(soc)
     if capacity is None:
         raise RunsError.of_run(
             name,

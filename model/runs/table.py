@@ -84,15 +84,19 @@ def columns_there(numbers: Iterable[str]) -> str:
     return f"; its other columns of numbers are {(', '.join(sorted(numbers)) or 'none')[:400]}"
 
 
-def usable(numbers: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return columns in which what is infinite or too large is unknown.
+def usable(values: FloatArray) -> FloatArray:
+    """Return a column (n,) in which what is infinite or too large is unknown, NaN."""
+    right = np.abs(values) <= LARGEST
+    return values if right.all() else np.where(right, values, np.nan)
 
-    `numbers` is (n,). Result (n,): NaN for blank, nan, inf and what is too large.
-    """
-    return {column: np.where(np.abs(values) <= LARGEST, values, np.nan) for column, values in numbers.items()}
+
+def known_values(values: FloatArray) -> FloatArray:
+    """Return the values of a column (n,) that are known, in their order: itself where all are."""
+    known = np.isfinite(values)
+    return values if known.all() else values[known]
 
 
 def spread(values: FloatArray) -> float:
     """Return the range of the known values of a column (n,); 0 where none is known."""
-    known = values[np.isfinite(values)]
+    known = known_values(values)
     return float(np.ptp(known)) if known.size else 0.0

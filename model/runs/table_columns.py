@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from joulemap.model.runs import agreement
-from joulemap.model.runs.column_values import numbers_of, read_column, words_of
+from joulemap.model.runs.column_values import numbers_of, read_column, stamps_of, words_of
 from joulemap.model.runs.columns_of_motion import (
     take_degrees,
     take_distance,
@@ -27,7 +27,7 @@ from joulemap.model.runs.mapping import CAPACITY, CONSTANTS, RADIUS, ROW, SIGNS,
 from joulemap.model.runs.names import DISCHARGE
 from joulemap.model.runs.names import words_of as words_of_name
 from joulemap.model.runs.recognition import recognised
-from joulemap.model.runs.table import FloatArray, TextArray, add_count
+from joulemap.model.runs.table import FloatArray, TextArray, add_count, known_values
 from joulemap.model.runs.units import own_unit
 
 SIGNED = ("power", "current")
@@ -140,8 +140,8 @@ def _signed(chosen: Mapping[str, Source], mapping: Mapping[str, str]) -> frozens
 
 def _in_order(stream: Stream, source: Source, name: str, repairs: dict[str, int]) -> Stream:
     """Rows that are in no order of time, as parts of a table come together, are sorted; a clock set back is no such."""
-    t = np.sum([sign * numbers_of(stream, column, name) for sign, column in source.parts], axis=0)
-    known = t[np.isfinite(t)]
+    t = stamps_of(source, stream, name)
+    known = known_values(t)
     falls = float(np.mean(np.diff(known) < 0)) if known.size > 1 else 0.0
     dated = stream.units.get(source.columns[0]) == DATE  # then the newest may come first; else it may count down
     if falls <= _SHUFFLED or (falls > 1 - _SHUFFLED and not dated):

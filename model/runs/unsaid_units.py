@@ -45,6 +45,8 @@ UNSAID = {
 def fitting(choices: Mapping[str, Sequence[str]], cost: Callable[[Units], float]) -> dict[str, list[str]]:
     """Return of each column the units that cost least, the best first, of those that it may be in."""
     every = [dict(zip(choices, units, strict=True)) for units in product(*choices.values())]
+    if len(every) == 1:
+        return {key: [unit] for key, unit in every[0].items()}
     costs = [cost(units) for units in every]
     near = sorted((each, k) for k, each in enumerate(costs) if each < min(costs) + _CLEAR)
     return {key: list(dict.fromkeys(every[k][key] for _, k in near)) for key in choices}

@@ -11,7 +11,7 @@ from joulemap.model.runs.formats.columns import CLOCK, DATE
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.mapping import Source
 from joulemap.model.runs.names import POSSIBLE, Candidate
-from joulemap.model.runs.table import FloatArray
+from joulemap.model.runs.table import FloatArray, known_values
 
 _RISES = 0.5  # of the steps of a time, less those in which it falls
 
@@ -52,18 +52,20 @@ def _rising(tied: Sequence[Candidate], stream: Stream) -> list[Candidate]:
 
 def _finer(usual: Candidate, candidates: Sequence[Candidate], stream: Stream) -> Candidate:
     """Beside a time that repeats, such as one in whole minutes, another that has at least twice as many values."""
+    if len(candidates) == 1:
+        return usual
     numbers = [stream.numbers[each.column] for each in candidates]
-    count = {each: np.unique(v[np.isfinite(v)]).size for each, v in zip(candidates, numbers, strict=True)}
+    count = {each: np.unique(known_values(v)).size for each, v in zip(candidates, numbers, strict=True)}
     most = max(candidates, key=lambda each: count[each] * (_rises(stream.numbers[each.column]) > _RISES))
     return most if count[most] >= 2 * count[usual] else usual
 
 
 def _resolves(seconds: FloatArray) -> bool:
     """Whether these are more than dates."""
-    known = seconds[np.isfinite(seconds)]
+    known = known_values(seconds)
     return bool((known % 86_400.0 != known[:1] % 86_400.0).any())
 
 
 def _rises(values: FloatArray) -> float:
-    steps = np.diff(values[np.isfinite(values)])
+    steps = np.diff(known_values(values))
     return float(np.mean(steps > 0)) - float(np.mean(steps < 0)) if steps.size else 0.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.instants import seconds_of
-from joulemap.model.runs.table import LARGEST, LONGEST_NAME, FloatArray, TableLimits, TextArray
+from joulemap.model.runs.table import LONGEST_NAME, FloatArray, TableLimits, TextArray, usable
 from joulemap.model.runs.units import common_unit
 
 DATE, CLOCK = "date and time", "time of day"
@@ -62,7 +62,7 @@ def stream_of(
     for column, values in zip(table.column_names, _without_thousands(table.columns), strict=True):
         found, unit, unread = _numbers(values)
         if found is not None:
-            numbers[column] = np.where(np.abs(found) <= LARGEST, found, np.nan)
+            numbers[column] = usable(found)
             broken[column] = unread
             if unit:
                 said[column] = unit
@@ -130,8 +130,8 @@ def _float(values: Any) -> FloatArray:
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    found = pc.fill_null(pc.cast(values, pa.float64(), safe=False), float("nan"))
-    return np.asarray(found.to_numpy(), dtype=np.float64)
+    found = pc.cast(values, pa.float64(), safe=False)
+    return np.asarray((pc.fill_null(found, float("nan")) if found.null_count else found).to_numpy(), dtype=np.float64)
 
 
 def _of_words(values: Any) -> tuple[FloatArray | None, str, int]:
