@@ -45,9 +45,9 @@ def units_of_stamps(values: FloatArray) -> list[str]:
     row = np.arange(0, known.size - 1, max(known.size // _STEPS, 1))
     steps = np.abs(known[row + 1] - known[row])
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    if largest < 240_000.0 and step <= 30.0 and np.ptp(known) > 100.0:
-        if (known % 100.0 < 60.0).all() and (known // 100.0 % 100.0 < 60.0).all():
-            return ["hhmmss"]  # no two digits of it reach 60
+    of_day = largest < 240_000.0 and step <= 30.0 and np.ptp(known) > 100.0
+    if of_day and (known % 100.0 < 60.0).all() and (known // 100.0 % 100.0 < 60.0).all():
+        return ["hhmmss"]  # no two digits of it reach 60
     low, high = _SERIAL_DAYS
     if low < known.min() and largest < high and 0 < step < _SHORTEST_STEP_S:
         return ["d"]

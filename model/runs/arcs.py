@@ -31,9 +31,6 @@ STILL_M = 0.05
 """Within `STOP_S` a stationary robot moves no further, about twice the noise of positions from RTK or lidar. A setting.
 Together they are the standing speed, 0.025 m/s."""
 
-SELDOM_S = 5.0
-"""Between fixes: in so long a car turns at a crossing."""
-
 _BRIDGED_LENGTHS = 1.0 / math.tan(math.pi / 8.0)
 # An arc that turns by a quarter leaves its chord c by c / 2 tan(pi / 8). At c = 2.41 lengths this is half a length: the
 # straight line still lies in the patch of the segment.
@@ -111,10 +108,10 @@ def arc_track(run: Run, length_m: float) -> ArcTrack:
     piece = np.cumsum(gap, dtype=np.int64)
     smoothing_s = max(SMOOTHING_S, interval)
     smooth_x, smooth_y, vx, vy = smooth(t, x, y, piece, smoothing_s)
-    if interval < SELDOM_S:  # else a smoothed track cuts the corners by more than the noise of its fixes
-        x, y = smooth_x, smooth_y
     speed = np.hypot(vx, vy)
     noise = position_noise(run.x[fixes], run.y[fixes], moved)
+    if interval <= SMOOTHING_S or not _cuts_corners(run.x[fixes], run.y[fixes], moved):
+        x, y = smooth_x, smooth_y
     within = max(STILL_M, _NOISES * noise)
     # with fixes seconds apart, what a vehicle accelerates is in the noise too, and the speed is that over more time
     still_mps = within / max(STOP_S, 2.0 * interval)
@@ -243,17 +240,33 @@ def _gaps(run: Run, fixes: NDArray[np.int64], length_m: float) -> tuple[BoolArra
     return between, float(distance[between & ~broke].sum())
 
 
-def position_noise(x: FloatArray, y: FloatArray, moved: BoolArray) -> float:
-    """Return the noise of single fixes, from how three in a row leave a straight line.
+def position_noise(x: FloatArray, y: FloatArray, moved: BoolArray, *, order: int = 2) -> float:
+    """Return the noise of single fixes, from how three in a row leave a straight line, or `order` + 1 a parabola.
 
     `x`, `y` (k,): fixes [m]; `moved` (k - 1,): whether each differs from the one before. Result: standard deviation
     [m].
     """
     fresh = np.concatenate([[True], moved])
-    if fresh.sum() < 4:
+    if fresh.sum() < 2 + order:
         return 0.0
-    bends = np.concatenate([np.diff(values[fresh], 2) for values in (x, y)])
-    return 1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0)
+    bends = np.concatenate([np.diff(values[fresh], order) for values in (x, y)])
+    return 1.4826 * float(np.median(np.abs(bends))) / math.sqrt(math.comb(2 * order, order))
+
+
+def _cuts_corners(x: FloatArray, y: FloatArray, moved: BoolArray) -> bool:
+    """Whether smoothing over one interval shortens the way between fixes by more than their noise lengthens it.
+
+    On a circle a Gaussian over the time in which the robot turns by theta leaves exp(-theta^2 / 2) of the radius; noise
+    makes a step d longer by noise^2 / d, and its direction differ by 6 noise^2 / d^2 (mean square) from the next.
+    """
+    noise_m = position_noise(x, y, moved, order=3)  # of fixes in an even curve too
+    step_x, step_y = np.diff(x), np.diff(y)
+    step = np.hypot(step_x, step_y)
+    clear = step > 2.0 * noise_m
+    step, turn = step[clear], np.diff(np.unwrap(np.arctan2(step_y[clear], step_x[clear])))
+    grown = noise_m**2 / step
+    cut = 0.5 * (step[1:] * turn**2 - 6.0 * grown[1:])
+    return bool(cut.sum() > grown.sum())
 
 
 def _rims(run: Run, rows: NDArray[np.int64], piece: NDArray[np.int64]) -> list[FloatArray]:

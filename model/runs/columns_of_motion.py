@@ -17,12 +17,13 @@ from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.instants import across_midnight
 from joulemap.model.runs.mapping import RADIUS, Source
 from joulemap.model.runs.names import words_of
-from joulemap.model.runs.table import LEAST_ROWS, SIDES, TURNING, FloatArray, spread
+from joulemap.model.runs.table import LEAST_ROWS, SIDES, TURNING, FloatArray, known_values, spread
 from joulemap.model.runs.units import conversion
 from joulemap.model.runs.unsaid_units import ALIKE, FAST_KMPH, UNSAID, Movement, clear, fitting, off
 
 _ANOTHER = 0.5  # tolerances by which a speed differs from that of the positions, and is in no unit that is known
 _FALLS = 0.05  # of the steps of a counter, which falls where it begins anew
+_COARSE = 0.1  # of the way: steps of a counter that say too little of where it was driven
 _NO_METRES = 30.0  # a distance that counts so many times less than the speed makes counts km or miles
 
 
@@ -39,6 +40,25 @@ def take_degrees(
         words.pop(key, None)
         found.confidence[target] = found.confidence.pop(key)
     found.notes.append("`x` and `y` are taken for a longitude and a latitude: in metres they would hardly move")
+
+
+def check_latitude(stream: Stream, chosen: Mapping[str, Source], name: str) -> None:
+    """Refuse latitudes that do not exist beside longitudes that may be such: they are the wrong way round."""
+    pair = [chosen[key] for key in ("lat", "lon") if key in chosen and chosen[key].unit in ("", "deg")]
+    columns = [source.columns[0] for source in pair if len(source.parts) == 1 and source.columns[0] in stream.numbers]
+    if len(columns) < 2:
+        return
+    lat, lon = (known_values(stream.numbers[column]) for column in columns)
+    largest = float(np.median(np.abs(lat))) if lat.size else 0.0
+    if 90.0 < largest <= 180.0 and float(np.abs(lon).max(initial=0.0)) <= 90.0:
+        first, second = (column[:60] for column in columns)
+        raise RunsError.of_run(
+            name,
+            f"{first} is about {largest:.4g}, and no latitude is above 90 degrees: are {first} and {second} the wrong "
+            f"way round? Then say so with a mapping: lat={second},lon={first}",
+            column="lat",
+            value=largest,
+        )
 
 
 def take_movement(
@@ -270,6 +290,14 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
         counts = min((steps > 0).sum(), (steps < 0).sum()) <= _FALLS * steps.size
         if made is None and not counts:
             raise no_counter(name, "distance", found.chosen["distance"].columns[0], "m")
+        whole = float(np.nanmax(counted, initial=0.0))
+        if made is None and resolution > _COARSE * whole > 0.0:
+            raise RunsError.of_run(
+                name,
+                f"{found.chosen['distance'].columns[0][:60]} counts {whole:,.0f} m in steps of {resolution:,.0f} m, "
+                "which is too coarse: say which column is the speed with a mapping, such as speed=v:km/h",
+                column="distance",
+            )
         whole, other = (float(np.nanmax(each, initial=0.0)) for each in (counted, counted if made is None else made))
         unit = agreement.contradiction(whole, other)
         if unit and found.chosen["distance"].unit and found.chosen["speed"].unit:

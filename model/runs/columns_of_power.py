@@ -117,6 +117,12 @@ def flows(numbers: Mapping[str, FloatArray]) -> bool:
     )
 
 
+def take_share(numbers: dict[str, FloatArray], words: dict[str, str]) -> None:
+    """A state of charge from 0 to 1, as sensor_msgs/BatteryState has it, in per cent."""
+    if "soc" in numbers and 0.0 < float(np.nanmax(numbers["soc"], initial=0.0)) <= 1.0:
+        numbers["soc"], words["soc"] = 100.0 * numbers["soc"], "0 to 1"
+
+
 def take_counters(
     numbers: dict[str, FloatArray], reading: dict[str, str], found: Recognised, mapping: Mapping[str, str], name: str
 ) -> None:

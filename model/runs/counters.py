@@ -50,8 +50,9 @@ def rate_of(t: FloatArray, total: FloatArray) -> FloatArray:
     changes = np.concatenate([[True], np.diff(total[rows]) != 0])
     changes[-1] = True
     at = np.interp(t[rows], t[rows][changes], total[rows][changes])
-    slope = np.diff(at) / np.diff(t[rows])
-    out[rows] = 0.5 * (np.append(slope, slope[-1]) + np.concatenate([slope[:1], slope]))
+    steps, dt = np.diff(at), np.diff(t[rows])  # over both steps beside a row, whose trapezoids have the whole sum
+    both = [np.append(each, 0.0) + np.concatenate([[0.0], each]) for each in (steps, dt)]
+    out[rows] = both[0] / both[1]
     return out
 
 

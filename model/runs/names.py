@@ -62,7 +62,7 @@ _OTHER_QUANTITIES = _set(
     "temperature temp rpm erpm torque throttle cadence acceleration accel acc gyro mag pressure humidity duty "
     "resistance capacity slope frequency freq count id index status state mode error fault flag health cycles "
     "efficiency rate pwm steering pedal brake angle orientation twist angular rotation gear satellites sats hdop "
-    "signal quality"
+    "quality"
 )
 """Words of quantities that a run does not need; as the last word of a name they say that it is no other."""
 
@@ -84,7 +84,8 @@ _NEVER = _set(
 _ELECTRIC = _set(
     "motor phase cell cells heater heating heat ac aircon air conditioning aux auxiliary 12 12v lv charger "
     "charging regen regenerated regenerative brake braking solar pv fan pump servo usb led iq q d axis human "
-    "rider crank mechanical mech port driver factor feedforward led light lights wheel gen generator fuel"
+    "rider crank mechanical mech port driver factor feedforward led light lights wheel gen generator fuel "
+    "wifi wlan lte gsm antenna radio rf signal rssi dbm db"
 )
 _NOT: dict[str, frozenset[str]] = {
     **dict.fromkeys(("voltage", "current", "power"), _NEVER | _ELECTRIC | _set("trip")),
@@ -92,7 +93,8 @@ _NOT: dict[str, frozenset[str]] = {
         ("energy", "charge"),
         (_NEVER - _set("remaining")) | _ELECTRIC | _set("charged recovered capacity available recuperated"),
     ),
-    "soc": (_NEVER - _set("remaining")) | _ELECTRIC | _set("health soh displayed index signal oil water"),
+    **dict.fromkeys(("lat", "lon"), _NEVER | _set("force acceleration accel acc g slip")),
+    "soc": (_NEVER - _set("remaining")) | _ELECTRIC | _set("health soh displayed index oil water device phone"),
     "speed": _NEVER | _set("wind motor rotor fan angular rotation engine shaft turn wheel crank"),
     "distance": _NEVER | _set("sensor left range obstacle front rear"),
     "z": _NEVER | _set("change gain loss"),

@@ -6,7 +6,6 @@ import numpy as np
 
 from joulemap.model.ranges import ROBOT
 from joulemap.model.runs.agreement import MOST_A, MOST_V, in_degrees, most_amps
-from joulemap.model.runs.arcs import SELDOM_S
 from joulemap.model.runs.clocks import of_clocks
 from joulemap.model.runs.counters import summed
 from joulemap.model.runs.run import Run
@@ -17,6 +16,12 @@ MOST_J_PER_M = 20_000.0
 
 LEAST_J_PER_M = 0.1
 """A toy of 1 kg on rails: 1 kg * 9.8 m/s2 * 0.01."""
+
+_SELDOM_S = 1.0  # between fixes: a vehicle turns at a crossing in some seconds
+
+_USUAL_J_PER_M = 1.0  # 5 kg on a floor take 5 kg * 9.8 m/s2 * 0.02
+_LEAST_READINGS = 10
+_FROZEN_S, _FROZEN = 30.0, 30.0  # and so many times as long as nine of ten readings stay
 
 FASTEST_MPS = 70.0
 """250 km/h, at which cars are limited."""
@@ -74,13 +79,13 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
 
 def doubtful(run: Run, segments: Segments | None) -> list[str]:
     """Return what is to be known of a run that is kept: sentences on its length and on its clocks."""
-    return [*of_length(run, segments), *of_clocks(run)]
+    return [*of_length(run, segments), *of_meter(run, segments), *of_clocks(run)]
 
 
 def of_length(run: Run, segments: Segments | None) -> list[str]:
     """Return a sentence where positions are so seldom that the track is not as long as the speed says; else nothing."""
     speed = run.extras.get("speed")
-    if segments is None or speed is None or float(np.median(np.diff(run.t))) < SELDOM_S:
+    if segments is None or speed is None or float(np.median(np.diff(run.t))) < _SELDOM_S:
         return []
     made = float(np.nanmax(summed(run.t, speed), initial=0.0))
     if abs(segments.track_m - made) <= LENGTHS_DIFFER * made:
@@ -89,6 +94,32 @@ def of_length(run: Run, segments: Segments | None) -> list[str]:
         f"its track is {segments.track_m:,.0f} m long, where its speed makes {made:,.0f} m: positions are too rare to "
         "show its curves, and what a metre takes is wrong by as much"
     ]
+
+
+def of_meter(run: Run, segments: Segments | None) -> list[str]:
+    """Return sentences on a meter that stopped while the robot went on, and on one that hardly reads anything."""
+    found = list[str]()
+    if segments is None or not len(segments):
+        return found
+    if run.has_energy and 0 < (took := float(segments.energy_j.sum() / segments.driven_m.sum())) < _USUAL_J_PER_M:
+        found.append(f"a metre took {took:.2g} J, less than a model car takes: is its power in the unit that it says?")
+    drawn = run.drawn(charge=not run.has_energy)
+    rows = np.flatnonzero(np.isfinite(drawn))
+    first = rows[np.append(True, np.diff(drawn[rows]) != 0)]
+    if first.size < _LEAST_READINGS:
+        return found
+    last = np.append(first[1:], rows[-1])
+    stays = run.t[last] - run.t[first]
+    longest = int(np.argmax(stays))
+    begin, end = run.t[first[longest]], run.t[last[longest]]
+    inside = (segments.t0 >= begin) & (segments.t0 + segments.duration_s <= end)
+    moved_m = float(segments.driven_m[inside].sum())
+    if stays[longest] > max(_FROZEN_S, _FROZEN * float(np.quantile(stays, 0.9))) and moved_m > _FROZEN_S * SLOWEST_MPS:
+        found.append(
+            f"its power stays the same for {stays[longest]:,.0f} s, in which it drove {moved_m:,.0f} m: had its meter "
+            "stopped?"
+        )
+    return found
 
 
 def _mean_speed(run: Run) -> float:

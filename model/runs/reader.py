@@ -67,6 +67,7 @@ from joulemap.model.runs.table import (
 from joulemap.model.runs.table_columns import Table
 
 FloatArray = NDArray[np.float64]
+_FAR = 0.5  # positions that only scatter are as near to the one after the next as to the next
 _MANY_ELSEWHERE = 0.2  # of the positions; receivers err less often
 
 
@@ -205,6 +206,8 @@ def run_of(
     placed = "distance" not in numbers or bool({"x", "lat"} & numbers.keys())
     if placed:
         x, y = positions(numbers, name=name, crs=crs)
+        if (apart_m := _alternate(x, y)) > 0.0:
+            notes.append(f"its positions alternate between places {apart_m:,.0f} m apart: is it one vehicle?")
         x, y, breaks = usable_fixes(t, x, y, numbers.get("gps_error"), repairs)
         elsewhere += repairs.get("position_jumps", 0)
         if elsewhere > _MANY_ELSEWHERE * t.size:
@@ -239,6 +242,16 @@ def run_of(
         unknown_s=unknown_s,
         whole_j=whole_j,
     )
+
+
+def _alternate(x: FloatArray, y: FloatArray) -> float:
+    """How far each position is from the next, where it is far from it and near the one after that [m]; else 0."""
+    known = np.isfinite(x) & np.isfinite(y)
+    if known.sum() < LEAST_ROWS:
+        return 0.0
+    x, y = x[known], y[known]
+    one, two = (float(np.median(np.hypot(x[k:] - x[:-k], y[k:] - y[:-k]))) for k in (1, 2))
+    return one if two < _FAR * one and one > 1.0 else 0.0
 
 
 def _of_charge(numbers: dict[str, FloatArray], name: str) -> tuple[float, float] | None:

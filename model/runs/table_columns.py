@@ -10,6 +10,7 @@ import numpy as np
 from joulemap.model.runs import agreement
 from joulemap.model.runs.column_values import numbers_of, read_column, stamps_of, words_of
 from joulemap.model.runs.columns_of_motion import (
+    check_latitude,
     take_degrees,
     take_distance,
     take_movement,
@@ -19,7 +20,7 @@ from joulemap.model.runs.columns_of_motion import (
     without_null_island,
     without_standing_positions,
 )
-from joulemap.model.runs.columns_of_power import take_counters, take_drawn
+from joulemap.model.runs.columns_of_power import take_counters, take_drawn, take_share
 from joulemap.model.runs.common_rows import aligned
 from joulemap.model.runs.formats.columns import DATE
 from joulemap.model.runs.formats.contract import Stream
@@ -62,6 +63,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
     found.refuse(name, [key for key in ("t", "x", "y", "lat", "lon") if key in stream.numbers])  # it is there twice
     used = {column for source in chosen.values() for column in source.columns}
     used |= {column for pack in found.packs for source in pack for column in source.columns}
+    check_latitude(stream, chosen, name)
     numbers: dict[str, FloatArray] = {}
     texts: dict[str, str] = {}  # columns of texts
     words: dict[str, str] = {}  # of units that are found out here
@@ -72,6 +74,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
                 texts[target] = only
             else:
                 numbers[target], words[target] = read_column(target, source, stream, name, repairs)
+    take_share(numbers, words)
     take_degrees(numbers, chosen, words, found)
     without_standing_positions(numbers, stream, chosen, found)
     take_movement(numbers, stream, words, found, name)

@@ -181,7 +181,8 @@ def _about(run: Run, name: str, limits: RunLimits, asked: RunReading) -> dict[st
         )
     if segments is not None and len(segments) == 0:
         raise RunsError(
-            f"run {name} contains no segment of 1 m: did the robot move, and is its position recorded?",
+            f"run {name} contains no segment of 1 m: "
+            + ("; ".join(run.notes) or "did the robot move, and is its position recorded?"),
             run=name,
             repairs=run.repairs,
             left_out=segments.left_out,

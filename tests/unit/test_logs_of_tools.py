@@ -10,7 +10,8 @@ from scipy.io import netcdf_file, savemat
 
 from joulemap.model.errors import RunsError
 from joulemap.model.runs.cutting import cut_segments
-from joulemap.model.runs.plausible import of_length
+from joulemap.model.runs.logs import read_log
+from joulemap.model.runs.plausible import of_length, of_meter
 from joulemap.model.runs.reader import parse_run
 
 T = np.arange(0.0, 600.0)
@@ -272,6 +273,59 @@ def test_corners_between_rare_fixes_are_not_cut():
     run = parse_run("\n".join([text.splitlines()[0], *text.splitlines()[1::20]]) + "\n", name="r", crs="EPSG:32632")
     x, y = run.x[np.isfinite(run.x)], run.y[np.isfinite(run.y)]
     assert cut_segments(run).track_m == pytest.approx(np.hypot(np.diff(x), np.diff(y)).sum(), rel=0.002)
+
+
+@pytest.mark.parametrize("seconds", [1, 2, 4])
+@pytest.mark.parametrize("noise_m", [0.0, 0.05])
+def test_a_way_through_curves_is_as_long_as_its_fixes_say(seconds, noise_m):
+    """A fix in 4 s was smoothed over 4 s: 3 % of a drive through a town were lost. A slow robot's noise is smoothed."""
+    t = np.arange(0.0, 1800.0, seconds)
+    rng = np.random.default_rng(seconds)
+    for radius, speed in ((30.0, 6.0), (2.0, 0.3)):
+        turned = speed * t / radius
+        x, y = (radius * f(turned) + noise_m * rng.standard_normal(t.size) for f in (np.sin, np.cos))
+        text = "t,x,y,current [A]\n" + "".join(f"{a},{b},{c},2\n" for a, b, c in zip(t, x, y, strict=True))
+        way = 2.0 * radius * np.sin(speed * seconds / radius / 2.0) * (t.size - 1)
+        track = cut_segments(parse_run(text, name="r"), length_m=max(1.0, 1.1 * speed * seconds / 2.4), charge=True)
+        assert track.track_m == pytest.approx(way, rel=0.01 if noise_m == 0.0 or speed > 1.0 else 0.2)
+
+
+def test_a_counter_has_its_sum_whatever_the_stamps_are_rounded_to():
+    t = np.round(0.25 + 0.5 * np.arange(1200), 1)
+    counted = np.cumsum(0.02 + 0.01 * np.sin(np.arange(1200) / 9.0))
+    text = "t,x,y,energy_wh\n" + "".join(f"{a:.1f},{0.4 * a:.3f},0,{b:.5f}\n" for a, b in zip(t, counted, strict=True))
+    assert parse_run(text, name="r").energy()[0] == pytest.approx(3600.0 * (counted[-1] - counted[0]), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"lat": LON + 90.0, "lon": -LAT, "voltage": U, "current": AMPS}, "lat is about 101.5"),
+        ({"lat": LAT, "lon": LON, "wifi_signal_power_dbm": -60.0 + T % 7}, "there is neither a column 'current'"),
+    ],
+)
+def test_numbers_that_are_no_latitude_and_no_power_are_refused(columns, words):
+    text = f"t,{','.join(columns)}\n" + "".join(
+        f"{T[k]},{','.join(str(v[k]) for v in columns.values())}\n" for k in ROWS
+    )
+    with pytest.raises(RunsError, match=words):
+        parse_run(text, name="r", crs="EPSG:32632")
+
+
+def test_forces_are_no_latitudes_and_a_share_of_one_is_in_per_cent():
+    head = "Time [s],Distance [m],G Force Lat [G],G Force Long [G],voltage,current,battery.percentage"
+    text = table(head, lambda k: f"{T[k]},{S[k]},0.{k % 9},-0.{k % 7},{U[k]},{AMPS[k]},{0.9 - 1e-4 * k:.4f}")
+    assert np.nanmax(parse_run(text, name="r").y) == pytest.approx(S[-1], rel=0.001)
+    assert read_log(text, "r", {}).numbers["soc"][0] == pytest.approx(90.0)
+
+
+def test_a_meter_that_stops_and_one_that_reads_nearly_nothing_are_said():
+    stopped = np.where(T < 200, AMPS, AMPS[200])
+    for amps, words in ((stopped, "had its meter stopped"), (AMPS * 1e-5, "less than a model car takes"), (AMPS, "")):
+        rows = (f"{T[k]},{LAT[k]:.7f},{LON[k]:.7f},360,{amps[k]}\n" for k in ROWS)
+        run = parse_run("t,lat,lon,voltage,current\n" + "".join(rows), name="r", crs="EPSG:32632")
+        said = of_meter(run, cut_segments(run))
+        assert [words in each for each in said] == ([True] if words else [])
 
 
 def test_a_log_of_changes_has_each_value_until_the_next():

@@ -64,6 +64,7 @@ def test_rows_of_two_vehicles_are_said(late):
     other = columns | {"lat": DEGREES["lat"] + 0.05, "t": T + late}
     run = read({key: np.stack([columns[key], other[key]], axis=1).ravel() for key in columns})
     assert any("is it one vehicle" in note for note in run.notes)
+    assert any("positions alternate" in note for note in run.notes) == (late > 0.0)
     copies = read({key: np.repeat(values, 2) for key, values in columns.items()})
     assert not any("is it one vehicle" in note for note in copies.notes)
 

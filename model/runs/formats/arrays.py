@@ -71,7 +71,14 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     names = named(paths)
     numbers = {key: np.asarray(values, dtype=np.float64) for key, (_, values) in zip(names, same, strict=True)}
     return Log(
-        (Stream("", {key: usable(each) for key, each in numbers.items()}, units={key: unit for key, unit in said.items() if unit}),), notes=tuple(notes)
+        (
+            Stream(
+                "",
+                {key: usable(each) for key, each in numbers.items()},
+                units={key: unit for key, unit in said.items() if unit},
+            ),
+        ),
+        notes=tuple(notes),
     )
 
 
