@@ -48,7 +48,8 @@ class Learned(ABC):
 
     def provenance(self) -> dict[str, Any]:
         """Return what the predictor is, JSON-able."""
-        return {"name": self.name, "spread": self.spread.as_dict(), **self._provenance}
+        of_runs = {"heightmaps": self._training["heightmaps"]} if "heightmaps" in self._training else {}
+        return {"name": self.name, "spread": self.spread.as_dict(), **of_runs, **self._provenance}
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """Return one sentence for every way in which a map or robot differs from what the network learned."""

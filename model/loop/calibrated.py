@@ -58,6 +58,7 @@ class CalibratedPredictor(Predictor):
             "effects": self.correction.effects,
             "spread": self.spread.as_dict(),
             "drive_prior": self.correction.drive_prior,
+            "heightmaps": list(self.correction.heightmaps),
         }
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:

@@ -76,6 +76,7 @@ def _read(values: Mapping[str, Any]) -> Correction:
             "ranges": {key: (float(low), float(high)) for key, (low, high) in values["ranges"].items()},
             "drives": Drives(**values["drives"]),
             "first_base": None if first is None else _term(first),
+            "heightmaps": tuple(values.get("heightmaps", ())),
             "spread": None if spread is None else Spread.from_dict(spread),
         }
         known = (field.name for field in fields(Correction))

@@ -43,6 +43,7 @@ class Correction:
     # What is added to the cost of turning on a kind of ground [J/rad], by name
     turn_by_kind: Mapping[str, float] = field(default_factory=dict)
     drivetrain_efficiency: float | None = None  # Of the robot of the runs, 0 where it declared none
+    heightmaps: tuple[str, ...] = ()  # Hashes of those on which the runs were driven
 
     @property
     def effects(self) -> list[dict[str, Any]]:

@@ -26,10 +26,12 @@ def with_survey_error(
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the provenance of a model, with the error of a map in what a whole run has in common, and a warning of it.
 
-    `model`: as `TractionSource.provenance` gives it; unchanged from a model that gives no odds.
+    `model`: as `TractionSource.provenance` gives it; unchanged from a model that gives no odds, and from one of runs on
+    this very map, whose energies and odds are already those of its bumps.
     """
     spread, bumps = model.get("spread"), ground.noise.bumps
-    error = survey_error(ground, robot, source) if spread is not None else 0.0
+    learned_here = bumps is not None and ground.data_hash in model.get("heightmaps", ())
+    error = survey_error(ground, robot, source) if spread is not None and not learned_here else 0.0
     if spread is None or bumps is None or error == 0.0:
         return model, []
     said = (

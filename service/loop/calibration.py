@@ -105,6 +105,8 @@ def calibrate_on_runs(
     correction = correction_of(
         found, measured.std, groups, declared_turn=planning_robot(predictor, runs.robot).turn_j_per_rad
     )
+    maps = (site.heightmap.data_hash for site in runs.sites if runs.placed)
+    correction = replace(correction, heightmaps=tuple(maps))
     version = _write(begun, model, predictor, correction)
     after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
     ground = measured.main.heightmap

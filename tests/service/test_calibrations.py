@@ -147,6 +147,8 @@ def test_the_hidden_effect_is_found_and_planned_with(
     assert made.status_code == 201, made.text
     costmap = made.json()
     assert costmap["provenance"]["model"]["version"] == report["model"]["after"]
+    whole = service.get(costmap["links"]["provenance"]).json()
+    assert whole["model"]["heightmaps"] == [whole["heightmap"]["hash"]]
     found = report["turning_in_plans"]["j_per_rad"]  # one radian, the same in report, map and plans
     assert report["map"]["turn_j_per_rad"] == {"before": 0.0, "after": pytest.approx(found, rel=1e-3)}
     assert costmap["robot"]["turn_j_per_rad"] == report["map"]["turn_j_per_rad"]["after"]

@@ -12,10 +12,13 @@ from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
 import joulemap as jm
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.synthesis import TerrainRecipe, make_terrain
 from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner.lattice.survey_error import with_survey_error
 from joulemap.service.cli import app
 
 NOISE_M = 0.05
@@ -185,3 +188,12 @@ def test_bumps_that_are_noise_or_ground_count_by_their_probability_and_widen_the
     assert any("all energies of the map are uncertain by" in warning for warning in doubtful["warnings"])
     assert not any("all energies" in warning for warning in noise["warnings"] + ground["warnings"])
     assert perhaps > 0.3 * (means[2] - means[0]) / means[1]
+
+
+def test_a_model_of_runs_on_a_map_has_its_bumps_in_its_odds_already(photogrammetry):
+    ground, physics = jm.read_heightmap(photogrammetry["doubtful"]), load_predictor("physics")
+    model = {"spread": Spread().as_dict(), "heightmaps": ["another"]}
+    wider, _ = with_survey_error(model, ground, jm.Robot(), physics)
+    assert wider["spread"]["run_share"] > model["spread"]["run_share"]
+    model["heightmaps"] = [ground.data_hash]
+    assert with_survey_error(model, ground, jm.Robot(), physics) == (model, [])
