@@ -55,8 +55,7 @@ declared rolling resistance is right to about 8 %. Segments that turn by more th
 
 Made by `{training["command"]}`: {training["epochs"]} epochs, batch {options["batch"]}, AdamW at
 {options["learning_rate"]} falling as a cosine, augmented by quarter turns and mirror images; the weights are those with
-the least error on sites that were not trained on. What the shape of the ground costs is then multiplied by
-{training["shape_factor"]:.3f}, so that energies of runs on these are right in the mean.
+the least error on sites that were not trained on.
 
 ## Held-out error
 On {training["held_out"]["segments"]:,} segments of {training["held_out_sites"]} further sites and their robots, which
