@@ -12,6 +12,7 @@ from joulemap.model.runs.units import UNITS
 
 _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 """Stamps since 1970 in these units are larger than these numbers between 1973 and the year 5000."""
+_CENTURY_S = (946_684_800.0, 4_102_444_800.0)  # 2000 to 2100
 _SERIAL_DAYS = (20_000.0, 80_000.0)  # dates of spreadsheets from 1954 to 2119
 _SHORTEST_STEP_S = 1e-3  # no log of a vehicle is written more often
 _STEPS = 100_000  # between rows, evenly spread, of which the median is taken
@@ -32,6 +33,17 @@ MOST_A = 1_000.0
 
 LEAST_LOAD_OHM = 0.05
 """A smaller load is as small as the inner resistance of a battery pack and its cables: no pack drives it for long."""
+
+
+def epoch_of(values: FloatArray) -> str:
+    """Return the unit of stamps that are milliseconds or less since 1970, all of this century; empty for any other."""
+    known = known_values(values)
+    if known.size < 2:
+        return ""
+    low, high = float(known.min()), float(known.max())
+    first, last = _CENTURY_S
+    units = (unit for _, unit in _EPOCHS)
+    return next((u for u in units if first <= low * UNITS["time"][u][0] and high * UNITS["time"][u][0] <= last), "")
 
 
 def units_of_stamps(values: FloatArray) -> list[str]:

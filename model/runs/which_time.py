@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from joulemap.model.runs.agreement import epoch_of
 from joulemap.model.runs.candidates import CONFIDENCE, Recognised, candidates_of, surest
 from joulemap.model.runs.formats.columns import CLOCK, DATE
 from joulemap.model.runs.formats.contract import Stream
@@ -28,6 +29,21 @@ def choose_time(stream: Stream, found: Recognised) -> None:
         found.take("t", tied)
     elif tied:
         found.ask("t", tied)
+    else:
+        _take_epoch(stream, found)
+
+
+def _take_epoch(stream: Stream, found: Recognised) -> None:
+    """Take the only column of stamps in milliseconds or less since 1970, whatever its name: nothing else is as large
+    and rises.
+    """
+    stamps = [
+        column
+        for column, values in stream.numbers.items()
+        if column not in found.taken and epoch_of(values) and abs(_rises(values)) > _RISES
+    ]
+    if len(stamps) == 1:
+        found.take("t", [Candidate(stamps[0], epoch_of(stream.numbers[stamps[0]]), POSSIBLE)])
 
 
 def take_axis(stream: Stream, found: Recognised) -> None:

@@ -204,6 +204,47 @@ def test_json_of_any_shape(kind):
     as_it_was(parse_run(text, name="r.json"))
 
 
+SCALED = {"t": ("ms", 1e3), "x": ("cm", 100.0), "y": ("cm", 100.0), "voltage": ("mV", 1e3), "current": ("mA", 1e3)}
+SAID = {key: unit for key, (unit, _) in SCALED.items()}
+COUNTS = {key: np.round(1e3 * SCALED[key][1] * values) / 1e3 for key, values in PLAIN.items()}
+BESIDE = {
+    "an object of units": {"about": {"units": SAID}, "data": {key: each.tolist() for key, each in COUNTS.items()}},
+    "units of records": {
+        "unit": SAID,
+        "rows": [dict(zip(COUNTS, row, strict=True)) for row in zip(*(v.tolist() for v in COUNTS.values()), strict=True)],
+    },
+    "a list of units": {
+        "columns": [*COUNTS],
+        "units": [*SAID.values()],
+        "data": [*map(list, zip(*(v.tolist() for v in COUNTS.values()), strict=True))],
+    },
+    "a unit with each column": {
+        "log": {key: {"unit": SAID[key], "values": each.tolist()} for key, each in COUNTS.items()}
+    },
+    "signals": [{"name": key, "unit": SAID[key], "data": each.tolist()} for key, each in COUNTS.items()],
+}
+
+
+@pytest.mark.parametrize("kind", BESIDE)
+def test_units_beside_the_data_of_a_json_text_are_used(kind):
+    as_it_was(parse_run(json.dumps(BESIDE[kind]), name="r.json"))
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns", "dates", "rows"])
+def test_the_index_of_a_table_of_pandas_is_its_time(unit):
+    names = [*PLAIN][1:] if unit != "rows" else [*PLAIN]
+    stamps = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+    index = [int(stamps.get(unit, 1.0) * (1.7e9 * (unit in stamps) + t)) for t in T.tolist()]
+    if unit == "dates":
+        index = [f"2025-03-29T14:{t // 60:02.0f}:{t % 60:04.1f}Z" for t in T.tolist()]
+    elif unit == "rows":
+        index = list(range(T.size))
+    data = [*map(list, zip(*(PLAIN[key].tolist() for key in names), strict=True))]
+    run = parse_run(json.dumps({"columns": names, "index": index, "data": data}), name="r.json")
+    as_it_was(run)
+    assert "index" not in run.extras
+
+
 LONG = [(t, key, v) for t, *row in zip(*PLAIN.values(), strict=True) for key, v in zip([*PLAIN][1:], row, strict=True)]
 WORDS = {"t": "日時", "lat": "緯度", "lon": "経度", "voltage": "電圧(V)", "current": "電流(A)"}
 SHAPES = {

@@ -12,6 +12,7 @@ import numpy as np
 from joulemap.model.errors import RunsError
 from joulemap.model.runs.formats.columns import stream_of
 from joulemap.model.runs.formats.contract import Log, content_of
+from joulemap.model.runs.names import words_of
 from joulemap.model.runs.table import LARGEST, LEAST_ROWS, LONGEST_NAME, TableLimits
 from joulemap.model.source_file import SourceFile
 
@@ -35,7 +36,8 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     try:
         lines = content.split(b"\n") if content.lstrip()[:1] != b"[" else []
         if len(lines) > 1 and _whole(lines[0]):
-            return Log((stream_of(columns_of(_lines(lines, repairs), name, limits), name, limits),))
+            table = columns_of(_lines(lines, repairs), name, limits)
+            return Log((stream_of(table, name, limits, dict(_units(json.loads(lines[0][lines[0].find(b"{") :])))),))
         return log_of(json.loads(content), "JSON", name, limits)
     except (ValueError, RecursionError) as error:
         raise RunsError.of_run(name, f"not a readable JSON text: {str(error)[:200]}") from error
@@ -85,7 +87,7 @@ def log_of(document: Any, kind: str, name: str, limits: TableLimits) -> Log:
     best = max(_tables(document, 0), key=len, default=[])
     if len(best) < LEAST_ROWS:
         raise RunsError.of_run(name, f"the {kind} text holds no list of {LEAST_ROWS} records or more")
-    return Log((stream_of(columns_of(map(_flat, best), name, limits), name, limits),))
+    return Log((stream_of(columns_of(map(_flat, best), name, limits), name, limits, dict(_units(document))),))
 
 
 def _whole(line: bytes) -> bool:
@@ -132,11 +134,12 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
         for item in value[:LEAST_ROWS]:
             yield from _tables(item, depth + 1)
     elif isinstance(value, dict):
-        named = next((item for item in value.values() if isinstance(item, list) and _are_words(item)), [])
+        named = _named(value)
         values = (item for item in value.values() if isinstance(item, list) and len(item) >= LEAST_ROWS)
         for item in values:  # of columns that are named beside them
             if isinstance(item[0], list) and len(item[0]) == len(named) and not _are_words(item[0]):
-                yield [dict(zip(named, row, strict=False)) for row in item if isinstance(row, list)]
+                rows = zip(_index(value, len(item)), item, strict=True)
+                yield [first | dict(zip(named, row, strict=False)) for first, row in rows if isinstance(row, list)]
         inside = [item for item in value.values() if isinstance(item, dict)]
         lists = {key: each for item in inside for key, each in item.items() if _is_long(each)}
         if len(inside) > 1 and len(lists) > 1:  # coordinates, and beside them what was measured at each
@@ -154,6 +157,45 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
             yield [{"key": key} | item for key, item in value.items()]
         for item in value.values():
             yield from _tables(item, depth + 1)
+
+
+def _named(value: Mapping[str, Any]) -> list[str]:
+    """The names of columns: a list of words, of which none is a unit."""
+    words = [item for key, item in value.items() if isinstance(item, list) and _are_words(item) and not _of_unit(key)]
+    return words[0] if words else []
+
+
+def _index(value: Mapping[str, Any], rows: int) -> list[dict[str, Any]]:
+    """The index of a table of pandas, by row; nothing where it only counts the rows."""
+    index = value.get("index")
+    if not isinstance(index, list) or len(index) != rows or index == [*range(rows)]:
+        return [{}] * rows
+    return [{"index": each} for each in index]
+
+
+def _of_unit(key: str) -> bool:
+    return "unit" in key.lower() and bool({"unit", "units"} & {*words_of(key)})
+
+
+def _units(value: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, str]]:
+    """Units that stand beside the data, by the name of a column: an object `units`, a list of them beside that of the
+    names, or one in what describes a column.
+    """
+    if depth > DEEPEST:
+        return
+    if isinstance(value, list):
+        for item in value[:LONGEST_NAME]:
+            yield from _units(item, _name_of(item), depth + 1)
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            if not _of_unit(key):
+                yield from _units(item, key, depth + 1) if isinstance(item, dict | list) else ()
+            elif isinstance(item, dict):
+                yield from ((column, str(unit)) for column, unit in _flat(item).items())
+            elif isinstance(item, list) and len(item) == len(_named(value)):
+                yield from zip(_named(value), map(str, item), strict=True)
+            elif isinstance(item, str) and name:
+                yield name, item
 
 
 def _series(item: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
