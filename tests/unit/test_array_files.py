@@ -89,6 +89,55 @@ def test_npz_brings_its_own_place() -> None:
     assert read_heightmap(npz(heights=HEIGHTS), resolution_m=2.0).frame.bounds == (0.0, 0.0, 120.0, 80.0)
 
 
+PLACED = {  # 40 rows and 60 columns of 0.5 m, with the south-western corner at (10, 50)
+    "bounds": {"bounds": [10.0, 50.0, 40.0, 70.0]},
+    "extent of matplotlib": {"extent": [10.0, 40.0, 50.0, 70.0], "resolution": 0.5},
+    "bounds of the outer centres": {"bounds": [10.25, 50.25, 39.75, 69.75], "resolution": 0.5},
+    "transform of rasterio": {"transform": [[0.5, 0.0, 10.0], [0.0, -0.5, 70.0], [0.0, 0.0, 1.0]]},
+    "transform of GDAL": {"geotransform": [10.0, 0.5, 0.0, 70.0, 0.0, -0.5]},
+    "edges": {"west": 10, "north": 70, "cellsize": 0.5},
+    "four edges": {"left": 10, "bottom": 50, "right": 40, "top": 70},
+    "ends": {"x_min": 10.0, "x_max": 40.0, "y_min": 50.0, "y_max": 70.0, "resolution_m": 0.5},
+    "corner of ESRI": {"xllcorner": 10.0, "yllcorner": 50.0, "cellsize": 0.5},
+    "centres beside a resolution": {
+        "x": 10.25 + 0.5 * np.arange(60),
+        "y": 69.75 - 0.5 * np.arange(40),
+        "resolution": 0.5,
+    },
+}
+
+
+@pytest.mark.parametrize("kind", PLACED)
+def test_npz_lies_where_its_arrays_say(kind: str) -> None:
+    heightmap = read_heightmap(npz(elevation=HEIGHTS, crs="EPSG:32630", **PLACED[kind]))
+    assert heightmap.frame == GridFrame(10.0, 70.0, 0.5, 40, 60, "EPSG:32630")
+    np.testing.assert_array_equal(heightmap.heights, HEIGHTS)
+    assert not heightmap.notes
+
+
+def test_npz_is_turned_where_its_transform_begins_in_the_south() -> None:
+    heightmap = read_heightmap(npz(elevation=HEIGHTS[::-1], transform=[0.5, 0.0, 10.0, 0.0, 0.5, 50.0]))
+    assert heightmap.frame.bounds == (10.0, 50.0, 40.0, 70.0)
+    np.testing.assert_array_equal(heightmap.heights, HEIGHTS)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        {"origin": [10.0, 50.0]},
+        {"x0": 10.0, "y0": 50.0},
+        {"bounds": [10.0, 50.0, 99.0, 70.0]},
+        {"transform": [0.5, 0.1, 10.0, 0.1, -0.5, 70.0]},
+        {"x_min": 10.0, "y_min": 50.0},
+        {"transform": [np.nan] * 6},
+    ],
+)
+def test_an_array_of_npz_that_does_not_say_clearly_where_it_lies_is_named(place: dict[str, object]) -> None:
+    with pytest.warns(UserWarning, match=next(iter(place))):
+        heightmap = read_heightmap(npz(elevation=HEIGHTS, resolution=0.5, crs="EPSG:32630", **place))
+    assert heightmap.frame.bounds == (0.0, 0.0, 30.0, 20.0)
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [

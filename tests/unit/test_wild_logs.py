@@ -211,7 +211,9 @@ BESIDE = {
     "an object of units": {"about": {"units": SAID}, "data": {key: each.tolist() for key, each in COUNTS.items()}},
     "units of records": {
         "unit": SAID,
-        "rows": [dict(zip(COUNTS, row, strict=True)) for row in zip(*(v.tolist() for v in COUNTS.values()), strict=True)],
+        "rows": [
+            dict(zip(COUNTS, row, strict=True)) for row in zip(*(v.tolist() for v in COUNTS.values()), strict=True)
+        ],
     },
     "a list of units": {
         "columns": [*COUNTS],

@@ -144,7 +144,10 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
         rows = [*inside[0]] if inside and len(inside) == len(value) else []
         if len(value) > 1 and len(rows) >= LEAST_ROWS and all(item.keys() == inside[0].keys() for item in inside):
             indices = _index({"index": [int(row) if row.isdigit() else row for row in rows]}, len(rows))
-            yield [first | {key: item[row] for key, item in value.items()} for first, row in zip(indices, rows, strict=True)]
+            yield [
+                first | {key: item[row] for key, item in value.items()}
+                for first, row in zip(indices, rows, strict=True)
+            ]
         lists = {key: each for item in inside for key, each in item.items() if _is_long(each)}
         if len(inside) > 1 and len(lists) > 1:  # coordinates, and beside them what was measured at each
             yield from _tables(lists, depth + 1)

@@ -13,13 +13,16 @@ import numpy as np
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.source_file import SourceFile
-from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded, Scaling
+from joulemap.model.terrain.decoded import Decoded, Scaling
 from joulemap.model.terrain.formats.npy import read_header, read_heights
+from joulemap.model.terrain.formats.npz_place import Place, is_of_place, place_of
 
 _MAX_SCALAR_BYTES = 65_536  # a CRS in WKT is about 1,000
 _NAMES = ("heights", "elevation", "height", "dem", "z", "topo")
 _SCALARS = ("resolution_m", "west_m", "north_m", "crs")
 _BROKEN = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error)
+_MOST_OF_A_PLACE = 16  # numbers, of a transform of points
+_FARTHEST_M = 1e12
 _SIDES = ("resolution", "cell_size", "cellsize")  # in metres, like the heights
 
 
@@ -29,7 +32,7 @@ def recognise(head: bytes, name: str) -> bool:
 
 
 def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
-    """Read the array `heights` (or `elevation`) and, where they are there, `resolution_m`, `west_m`, `north_m`, `crs`.
+    """Read the array `heights` (or `elevation`), `resolution_m` and `crs`, and what else says where they lie.
 
     Only what the headers declare is decompressed, after the declared size was accepted: a zip bomb stays packed.
     """
@@ -47,47 +50,52 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
                 heights = read_heights(
                     member, f"`{named[0]}` of the .npz file", scaling, max_cells, expected_length=length
                 )
-            scalars = {} if "resolution_m" in members else _axes(archive, members, heights.shape)
-            if scalars.pop("south_first", False):
-                heights = np.ascontiguousarray(heights[::-1])
+            scalars = dict[str, object]()
             for key in _SCALARS:
                 there = [each for each in (key, *(_SIDES if key == "resolution_m" else ())) if each in members]
                 if there:
                     with archive.open(members[there[0]]) as member:
                         scalars[key] = _read_scalar(member, key)
+            place = _place(archive, members, heights.shape, scalars)
     except (*_BROKEN, EOFError, OSError, RuntimeError, KeyError, ValueError) as error:
         raise HeightmapError(f"the .npz file is truncated or corrupt: {str(error)[:200]}") from error
+    west, north, side = (_number(scalars, key) for key in ("west_m", "north_m", "resolution_m"))
+    unused = sorted({*filter(is_of_place, members)} - {*place.used, *scalars})
     return Decoded(
-        heights,
-        west_m=_number(scalars, "west_m"),
-        north_m=_number(scalars, "north_m"),
-        resolution_m=_number(scalars, "resolution_m"),
+        np.ascontiguousarray(heights[::-1]) if place.south_first else heights,
+        west_m=place.west_m if west is None else west,
+        north_m=place.north_m if north is None else north,
+        resolution_m=place.resolution_m if side is None else side,
         crs=str(scalars["crs"]) if "crs" in scalars and scalars["crs"] not in ("", "None") else None,
+        notes=(_not_used(unused),) if unused and not place.used and west is None and north is None else (),
     )
 
 
-def _axes(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], shape: tuple[int, ...]) -> dict[str, object]:
-    """Where the heights lie, if the centres of their rows and columns are there as `y` and `x` at even steps."""
-    centres = []
-    for key, size in (("y", shape[0]), ("x", shape[1])):
-        if key not in members:
-            return {}
-        with archive.open(members[key]) as stream:
-            there, _, dtype, _ = read_header(stream, f'the array "{key}" of the .npz file')
-            if there != (size,) or dtype.kind not in "fiu" or size < 2:
-                return {}
-            centres.append(np.frombuffer(stream.read(size * dtype.itemsize), dtype=dtype).astype(np.float64))
-    steps = [np.diff(values) for values in centres]
-    side = abs(float(steps[1][0]))
-    even = all(np.abs(np.abs(step) - side).max() <= SAME_LENGTH * side for step in steps)
-    if not even or side == 0 or steps[1][0] < 0:
-        return {}
-    return {
-        "resolution_m": side,
-        "west_m": float(centres[1][0]) - side / 2,
-        "north_m": float(centres[0].max()) + side / 2,
-        "south_first": bool(steps[0][0] > 0),
-    }
+def _not_used(names: list[str]) -> str:
+    return (
+        f"its {', '.join(f'`{name}`' for name in names)[:200]} did not say clearly where the heights lie, and "
+        f"{'was' if len(names) == 1 else 'were'} not used: give `west_m` and `north_m`, the outer edges of the "
+        "north-west cell"
+    )
+
+
+def _place(
+    archive: zipfile.ZipFile,
+    members: dict[str, zipfile.ZipInfo],
+    shape: tuple[int, int],
+    scalars: dict[str, object],
+) -> Place:
+    """What the arrays beside the heights say of their place."""
+    arrays = {}
+    for name in filter(is_of_place, members):
+        with archive.open(members[name]) as stream:
+            there, _, dtype, _ = read_header(stream, f'the array "{name}" of the .npz file')
+            if dtype.kind in "fiu" and math.prod(there) <= max(*shape, _MOST_OF_A_PLACE):
+                data = stream.read(math.prod(there) * dtype.itemsize)
+                values = np.frombuffer(data, dtype=dtype).astype(np.float64)
+                if (np.abs(values) < _FARTHEST_M).all():  # which no NaN is
+                    arrays[name] = values
+    return place_of(arrays, shape, _number(scalars, "resolution_m"))
 
 
 def _number(scalars: dict[str, object], key: str) -> float | None:
