@@ -1,14 +1,18 @@
-"""Tables that hold a quantity in another way than a column of its own: rows by name, and stamps in two columns."""
+"""Tables that hold a quantity in another way than a column of its own: objects, rows by name, stamps in two columns."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Collection
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from joulemap.model.runs.formats.columns import stream_of
 from joulemap.model.runs.formats.contract import Stream
+from joulemap.model.runs.formats.json_records import columns_of, flat
 from joulemap.model.runs.names import candidate, words_of
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.runs.units import known_unit, unit_in_name
@@ -24,7 +28,33 @@ _MOST_NAMES = 500
 
 def rearranged(stream: Stream, name: str, limits: TableLimits) -> Stream:
     """Return a table in which each quantity has a column, and stamps are one number."""
-    return _with_whole_stamps(_with_units(_by_name(stream, name, limits)))
+    return _with_whole_stamps(_with_units(_by_name(_opened(stream, name, limits), name, limits)))
+
+
+def _opened(stream: Stream, name: str, limits: TableLimits) -> Stream:
+    """Objects in the cells of a column, as services of logs export them, as columns: `message.battery.voltage`."""
+    for column, cells in stream.texts.items():
+        known = cells[cells != ""]
+        if known.size and 2 * np.sum(np.char.startswith(known, "{")) > known.size:
+            table = columns_of((_object(cell, column) for cell in cells.tolist()), name, limits)
+            limits.check(table.num_rows, table.num_columns + len(stream.numbers) + len(stream.texts), name)
+            inside = stream_of(table, name, limits)
+            stream = replace(
+                stream,
+                numbers=inside.numbers | stream.numbers,
+                texts=inside.texts | {key: each for key, each in stream.texts.items() if key != column},
+                units=inside.units | stream.units,
+                unread=inside.unread | stream.unread,
+            )
+    return stream
+
+
+def _object(cell: str, column: str) -> dict[str, Any]:
+    try:
+        found = json.loads(cell) if cell.startswith("{") else None
+    except (ValueError, RecursionError):
+        return {}
+    return flat(found, column) if isinstance(found, dict) else {}
 
 
 def _with_units(stream: Stream) -> Stream:

@@ -249,6 +249,20 @@ def test_the_index_of_a_table_of_pandas_is_its_time(unit):
         assert "index" not in run.extras
 
 
+def test_objects_in_the_cells_of_a_table_are_columns():
+    objects = [
+        json.dumps({"level": "INFO", "battery": {"v": v, "a": i}, "pos": {"x": x, "y": 4e6}})
+        for x, v, i in zip(X.tolist(), VOLTS.tolist(), AMPS.tolist(), strict=True)
+    ]
+    objects[7:9] = ["", "{broken"]  # two rows of 400
+    quoted = ['"' + text.replace('"', '""') + '"' for text in objects]
+    times = [f"2025-03-29 14:{t // 60:02.0f}:{t % 60:04.1f}" for t in T]
+    rows = [f"{t},{text},rover/main" for t, text in zip(times, quoted, strict=True)][::-1]
+    run = parse_run("\n".join(["@timestamp,@message,@logStream", *rows]) + "\n", name="r")
+    as_it_was(run)
+    assert run.reading["voltage"] == "@message.battery.v [V]"
+
+
 LONG = [(t, key, v) for t, *row in zip(*PLAIN.values(), strict=True) for key, v in zip([*PLAIN][1:], row, strict=True)]
 WORDS = {"t": "日時", "lat": "緯度", "lon": "経度", "voltage": "電圧(V)", "current": "電流(A)"}
 SHAPES = {

@@ -87,7 +87,7 @@ def log_of(document: Any, kind: str, name: str, limits: TableLimits) -> Log:
     best = max(_tables(document, 0), key=len, default=[])
     if len(best) < LEAST_ROWS:
         raise RunsError.of_run(name, f"the {kind} text holds no list of {LEAST_ROWS} records or more")
-    return Log((stream_of(columns_of(map(_flat, best), name, limits), name, limits, dict(_units(document))),))
+    return Log((stream_of(columns_of(map(flat, best), name, limits), name, limits, dict(_units(document))),))
 
 
 def _whole(line: bytes) -> bool:
@@ -103,7 +103,7 @@ def _lines(lines: list[bytes], repairs: dict[str, int]) -> Iterator[dict[str, An
     for number, line in enumerate(filled):
         before, brace, rest = line.partition(b"{")
         try:
-            record = _flat(json.loads(brace + rest))
+            record = flat(json.loads(brace + rest))
         except ValueError:
             if number < len(filled) - 1:
                 raise
@@ -198,7 +198,7 @@ def _units(value: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, st
             if not _of_unit(key):
                 yield from _units(item, key, depth + 1) if isinstance(item, dict | list) else ()
             elif isinstance(item, dict):
-                yield from ((column, str(unit)) for column, unit in _flat(item).items())
+                yield from ((column, str(unit)) for column, unit in flat(item).items())
             elif isinstance(item, list) and len(item) == len(_named(value)):
                 yield from zip(_named(value), map(str, item), strict=True)
             elif isinstance(item, str) and name:
@@ -217,7 +217,7 @@ def _series(item: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 def _name_of(item: Any) -> str:
     """What a record says that it is of; empty where it says nothing."""
     plain = {key: each for key, each in item.items() if not isinstance(each, list)} if isinstance(item, dict) else {}
-    words = _flat(plain)
+    words = flat(plain)
     return next((str(words[key]) for key in words if key.rpartition(".")[2].strip("_") in _NAMES), "")
 
 
@@ -241,8 +241,8 @@ def _are_words(items: list[Any]) -> bool:
     return len(items) > 1 and all(isinstance(item, str) for item in items)
 
 
-def _flat(value: Any, front: str = "", depth: int = 0) -> dict[str, Any]:
-    """Numbers and texts by their path; coordinates in the order of GeoJSON."""
+def flat(value: Any, front: str = "", depth: int = 0) -> dict[str, Any]:
+    """Return numbers and texts by their path; coordinates are in the order of GeoJSON."""
     if isinstance(value, list):
         if len(value) > _LONGEST_LIST or depth > DEEPEST:
             return {}
@@ -258,7 +258,7 @@ def _flat(value: Any, front: str = "", depth: int = 0) -> dict[str, Any]:
     for key, item in items:
         path = f"{front}.{key}" if front else key
         if isinstance(item, dict | list):
-            found |= _flat(item, path, depth + 1)
+            found |= flat(item, path, depth + 1)
         else:
             found[path] = item
     return found
