@@ -29,7 +29,7 @@ def seconds_of(texts: Iterable[str | None], *, lenient: bool = False) -> tuple[F
     Of dates such as 05/31/2024 the month comes first if a day above 12 stands there in any of them, or with strokes;
     with points the day is first everywhere.
     """
-    words = [(text or "").strip() for text in texts]
+    words = [(text or "").replace(" @ ", " ").strip() for text in texts]  # of Kibana
     ordered = [found for word in words if (found := _ORDERED.match(word))]
     day_first = any(found[2] == "." or int(found[1]) > 12 for found in ordered)
     if not day_first and ordered and all(found[2] == "-" for found in ordered):

@@ -293,6 +293,17 @@ def test_marks_between_thousands_are_no_decimal_marks(form):
     as_it_was(parse_run("\n".join(["t;distance (mm);power (mW)", *rows]) + "\n", name="r"))
 
 
+def test_cells_in_quotes_with_commas_and_dates_in_them():
+    rows = [
+        f'"Nov 14, 2026 @ 10:{t // 60:02.0f}:{t % 60:06.3f}","rover 7","{i:.4f}","{v:.4f}","{x:,.2f}","-"'
+        for t, x, v, i in zip(T, X - X[0] + 900.0, VOLTS, AMPS, strict=True)
+    ]
+    head = '"@timestamp","agent.name","battery.current","battery.voltage","odometer.meters","message"'
+    run = parse_run("\n".join([head, *rows[::-1]]) + "\n", name="r")
+    as_it_was(run)
+    assert len(run.t) == ROWS
+
+
 def test_times_of_laps_what_is_left_and_spaces_before_quotes():
     rows = zip(T, X - X[0], 50 - LEFT, strict=True)
     left = [f'"{t // 60:02.0f}:{t % 60:04.1f}"; "{x:.3f}"; "{e:.6f}"' for t, x, e in rows]

@@ -35,6 +35,7 @@ _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _NUMBER = re.compile(r"^[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
 _OF_VALUES = re.compile(r"[\d.:+/-]")
+_SPACED = re.compile(r'(?:"[^"]*"|\S)+')  # a cell between spaces, which may be quoted
 _BLOCK_BYTES = 1 << 22
 
 
@@ -53,7 +54,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     separator, header, units, line, start = _header(content, name, limits)
     if separator == " ":
         content, start, line, separator = (
-            re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+", b"", content[start:])),
+            _with_tabs(content[start:]),
             0,
             b"",
             "\t",
@@ -89,6 +90,14 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     if table is None:
         raise RunsError.of_run(name, "0 rows are too few, at least 5 are needed")
     return Log((stream_of(table, name, limits, dict(zip(columns, units, strict=False))),))
+
+
+def _with_tabs(content: bytes) -> bytes:
+    """Tabs in place of spaces between cells."""
+    content = re.sub(rb"(?m)^[ \t]+", b"", content)
+    if b'"' not in content:
+        return re.sub(rb"[ \t]+", b"\t", content)
+    return re.sub(rb'("[^"\n]*")|[ \t]+', lambda found: found[1] or b"\t", content)
 
 
 def _without_headers(content: bytes, start: int, line: bytes) -> memoryview | bytes:
@@ -268,7 +277,7 @@ def _line_end(content: bytes, start: int) -> int:
 
 def _cells(line: str, separator: str) -> list[str]:
     if separator == " ":
-        return line.split()
+        return [cell.strip('"') for cell in _SPACED.findall(line)]
     try:
         cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
     except csv.Error:
