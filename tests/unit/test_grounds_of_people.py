@@ -191,6 +191,16 @@ def test_columns_of_points_are_found_by_their_names_and_tables_by_their_axes() -
         "pivot.csv": "y\\x," + ",".join(map(str, x[0])) + "\n"
         + "".join(f"{y[k, 0]}," + ",".join(map(str, HILL[k])) + "\n" for k in range(40)),
     }  # fmt: skip
+    heads = [
+        "Rechtswert;Hochwert;Höhe_NHN",
+        "X_UTM;Y_UTM;Z [m]",
+        "Este;Norte;Cota",
+        "est;nord;quota",
+        "x;y;Altezza (m)",
+    ]
+    for k, head in enumerate(heads):
+        rows = "".join(f"{a};{b};{z}\n" for a, b, z in lines[::-1])
+        texts[f"{k}.csv"] = f"{head}\n{rows.replace('.', ',')}"
     contents = {name: text.encode() for name, text in texts.items()}
     contents["a.npz"] = npz(elevation=HILL[::-1], x=x[0], y=y[::-1, 0])
     contents["a.npy"] = npy(np.array(lines))
@@ -200,6 +210,8 @@ def test_columns_of_points_are_found_by_their_names_and_tables_by_their_axes() -
         assert found.frame.bounds == (500_000.0, 4_000_000.0, 500_050.0, 4_000_040.0), name
     with pytest.raises(HeightmapError, match="line 4: 'P;1;x;3;GND' is no point"):
         read_sent(b"Name;E;N;Z;Code\nP;1;2;3;GND\nP;2;2;3;GND\nP;1;x;3;GND\n", filename="rtk.txt")
+    with pytest.raises(HeightmapError, match=r"'Punkt;Links;Oben', .*z by z, h, height, elevation.* Rename"):
+        read_sent(b"Punkt;Links;Oben\n1,5;2;3\n2,5;2;3\n", filename="dgm.csv")
 
 
 @pytest.mark.parametrize(

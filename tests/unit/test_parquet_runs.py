@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from pyarrow import feather
 
 from joulemap.model.errors import RunsError
 from joulemap.model.runs.reader import parse_run, read_run
@@ -74,6 +75,40 @@ def test_nulls_categories_times_and_small_numbers_mean_the_same():
     assert np.isnan(run.extras["wind_speed"]).all()
     assert run.texts["terrain"][-1] == "gravel"
     assert run.extras["lidar"][-1] == 59.0
+
+
+@pytest.mark.parametrize("kind", ["parquet", "feather"])
+def test_fields_of_structures_are_columns(kind):
+    plain = columns()
+    position = pa.StructArray.from_arrays([pa.array(plain["x"]), pa.array(plain["y"])], ["x", "y"])
+    frame = pa.array(["map"] * 60)
+    beams = pa.array([[1.0, 2.0]] * 60)
+    mask = pa.array(np.arange(60) == 50)  # a message that is missing
+    battery = pa.StructArray.from_arrays(
+        [pa.array(1e3 * plain["voltage"]), pa.array(1e3 * plain["current"]), pa.array(["A"] * 60)],
+        ["bus_mv", "bus_ma", "pack"],
+        mask=mask,
+    )
+    table = pa.table(
+        {
+            "t": plain["t"],
+            "pose": pa.StructArray.from_arrays([position, frame, beams], ["position", "frame", "beams"]),
+            "power": battery,
+        }
+    )
+    out = io.BytesIO()
+    if kind == "feather":
+        feather.write_feather(table, out)
+    else:
+        pq.write_table(table, out)
+    said = {"voltage": "power.bus_mv:mV", "current": "power.bus_ma:mA"}
+    run = parse_run(out.getvalue(), name="run", mapping=said)
+    assert run.repairs == {"duplicate_stamps": 1, "current_spikes": 1, "blank_voltage": 1, "blank_current": 1}
+    same_run = parse_run(parquet(plain), name="run")
+    for key in ("t", "x", "y", "current_a", "voltage_v"):
+        np.testing.assert_allclose(getattr(run, key), getattr(same_run, key), atol=1e-9)
+    assert run.texts["power.pack"][0] == "A"
+    assert "pose.beams" not in run.extras
 
 
 def test_what_is_no_run_is_refused_with_its_place():

@@ -89,6 +89,22 @@ def test_xyz_of_a_grid_is_that_grid_and_others_are_averaged(points):
     np.testing.assert_allclose(scattered.heights, las.heights, atol=2e-3)
 
 
+@pytest.mark.parametrize("places", [1, 2, 3, 4])
+def test_the_cell_of_scattered_points_is_not_what_they_are_rounded_to(points, places):
+    x, y, z = (np.round(values, places) for values in points)
+    lines = (f"{a:.{places}f} {b:.{places}f} {c:.4f}\n" for a, b, c in zip(x, y, z, strict=True))
+    found = read_heightmap("".join(lines).encode(), filename="b.xyz", crs="EPSG:32630")
+    assert found.resolution_m == pytest.approx(0.73, abs=0.02)
+
+
+def test_points_of_a_grid_along_a_road_are_its_cells():
+    along = np.arange(3000)
+    x, y = np.repeat(along, 3), (np.repeat(along // 3, 3) + np.tile([0, 1, 2], along.size)).astype(float)
+    lines = (f"{a} {b} {0.01 * a}\n" for a, b in zip(x, y, strict=True))
+    found = read_heightmap("".join(lines).encode(), filename="b.xyz", crs="EPSG:32630")
+    assert (found.resolution_m, found.frame.shape) == (1.0, (1002, 3000))
+
+
 @pytest.mark.parametrize("kind", ["las", "laz", "xyz"])
 def test_broken_clouds_are_read_or_refused_in_words(kind, points):
     x, y, z = (values[:3000] for values in points)

@@ -1,13 +1,14 @@
 """Logs in Parquet, as if they were CSV: nulls are blank, times are seconds, categories are texts.
 
 A few kilobytes of Parquet can stand for terabytes: a long text in a dictionary that every row refers to. So texts stay
-in their dictionary until their size is known, and columns of lists or structures are not read.
+in their dictionary until their size is known, and columns of lists are not read. Those of structures are read by field.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from joulemap.model.errors import RunsError, TooLargeError
@@ -17,6 +18,8 @@ from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
 
 _MAGIC = b"PAR1"
+DEEPEST = 12
+"""Setting: how many structures may lie in each other."""
 _BATCH_CELLS = 1_000_000
 _BATCH_TEXTS = 1_000  # where texts come in full, however long they are
 
@@ -44,29 +47,51 @@ def _read(content: bytes, name: str, limits: TableLimits) -> Any:
     about = pq.read_metadata(io.BytesIO(content))
     limits.check(about.num_rows, about.num_columns, name)
     schema = about.schema.to_arrow_schema()
-    plain = [k for k, field in enumerate(schema) if is_plain(field.type)]
-    if len(plain) < len(schema) or len(set(schema.names)) < len(schema):
-        plain = [k for k in plain if schema.names.count(schema.names[k]) == 1]
-    columns = [schema.names[k] for k in plain]
+    counts = Counter(field.name for field in schema)
+    leaves = dict(leaf for field in schema if counts[field.name] == 1 for leaf in _leaves(field.name, field.type))
+    columns = [path for path, kind in leaves.items() if is_plain(kind)]
     _check_size(about, name, limits)
-    words = {schema.names[k] for k in plain if _is_text(schema.field(k).type)}
+    words = {path for path in columns if _is_text(leaves[path])}
     in_full = _without_dictionary(about) & words
     file = pq.ParquetFile(io.BytesIO(content), read_dictionary=sorted(words - in_full), pre_buffer=False)
     letters = dict.fromkeys(columns, 0)
     size = max(1, (_BATCH_TEXTS if in_full else _BATCH_CELLS) // max(1, len(columns)))
-    batches, rows = [], 0
+    parts, rows = [], 0
     for batch in file.iter_batches(batch_size=size, use_threads=False, columns=columns):
         batch.validate(full=True)  # Arrow takes places in a dictionary as they are written
-        for column, values in zip(batch.schema.names, batch.columns, strict=True):
+        part = flattened(pa.Table.from_batches([batch]))
+        for column, values in zip(part.column_names, part.columns, strict=True):
             longest = longest_text(values)
-            letters[column] = max(letters[column], longest)
+            letters[column] = max(letters.get(column, 0), longest)
             limits.check_texts(about.num_rows, sum(letters.values()), name, column)
-            limits.check_texts(len(getattr(values, "dictionary", ())), longest, name, column)
-        batches.append(batch)
+            for chunk in values.chunks:
+                limits.check_texts(len(getattr(chunk, "dictionary", ())), longest, name, column)
+        parts.append(part)
         rows += batch.num_rows
         limits.check(rows, len(columns), name)
-    table = pa.Table.from_batches(batches) if batches else schema.empty_table().select(columns)
+    table = pa.concat_tables(parts) if parts else flattened(schema.empty_table())
     return table.rename_columns(named(table.column_names))
+
+
+def flattened(table: Any) -> Any:
+    """Return a table whose structures are columns, `pose.position.x`, as far as they hold numbers, times and texts."""
+    import pyarrow as pa
+
+    for _ in range(DEEPEST):
+        if any(pa.types.is_struct(kind) for kind in table.schema.types):
+            table = table.flatten()
+    return table.select([k for k, kind in enumerate(table.schema.types) if is_plain(kind)])
+
+
+def _leaves(path: str, kind: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """The fields of a column by their paths: itself, where it is no structure."""
+    import pyarrow as pa
+
+    if not pa.types.is_struct(kind):
+        yield path, kind
+    elif depth < DEEPEST:
+        for field in kind:
+            yield from _leaves(f"{path}.{field.name}", field.type, depth + 1)
 
 
 def _is_text(kind: Any) -> bool:
@@ -109,7 +134,9 @@ def longest_text(column: Any) -> int:
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    words = column.dictionary if pa.types.is_dictionary(column.type) else column
-    if not (pa.types.is_string(words.type) or pa.types.is_large_string(words.type)):
-        return 0
-    return pc.max(pc.binary_length(words)).as_py() or 0  # bytes, of which a letter has at least one
+    chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
+    words = [each.dictionary if pa.types.is_dictionary(each.type) else each for each in chunks]
+    of_text = [each for each in words if pa.types.is_string(each.type) or pa.types.is_large_string(each.type)]
+    return max(
+        (pc.max(pc.binary_length(each)).as_py() or 0 for each in of_text), default=0
+    )  # bytes, not fewer than letters

@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from io import TextIOWrapper
 from typing import IO, cast
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,12 @@ from joulemap.model.terrain.formats.ply import ply_points
 from joulemap.model.terrain.formats.point_lines import check_points, parsed
 from joulemap.model.terrain.point_grid import PointGrid
 
-_NAMES = {
-    "x": frozenset(["x", "e", "east", "easting", "lon", "long", "longitude", "rechtswert"]),
-    "y": frozenset(["y", "n", "north", "northing", "lat", "latitude", "hochwert"]),
-    "z": frozenset(["z", "h", "height", "elevation", "elev", "alt", "altitude"]),
+_WORDS = {
+    "x": "x e east easting lon long longitude rechtswert ostwert est este coordx",
+    "y": "y n north northing lat latitude hochwert nordwert nord norte coordy",
+    "z": "z h height elevation elev alt altitude hoehe hohe hauteur altura altitud cota altezza quota altitudine",
 }
+_NAMES = {axis: frozenset(words.split()) for axis, words in _WORDS.items()}
 _UNIT = re.compile(r"[\[(][^\])]*[\])]|[_ ](?:m|deg)$")
 _PART_LINES = 1_000_000
 _LONGEST_LINE = 1 << 22
@@ -34,13 +36,13 @@ _MOST_OF_A_POINT = 20  # place, colour, normal, and the attributes of LAS; more 
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the mark of PCD and PLY files; of a text, by three numbers in a line or by the header x, y, z."""
+    """Decide by the mark of PCD and PLY files; of a text, by three numbers in a line, also after a header."""
     if head.startswith((b"ply\n", b"ply\r")) or is_pcd(head):
         return True
     if not name.lower().endswith(_TEXTS):
         return False
     lines = [line for line in head.decode("utf-8-sig", "replace").splitlines() if _is_line(line)]
-    return bool(lines) and _shape(lines[0]) is not None
+    return bool(lines) and (_shape(lines[0]) is not None or _is_header(*lines[:2]))
 
 
 def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
@@ -111,11 +113,28 @@ def _shape(line: str) -> _Shape | None:
     cells = tuple(cell.strip().strip('"') for cell in (line.replace(",", ".") if commas else line).split(mark))
     if len(cells) > 2 and all(map(_is_number, filter(None, cells))):
         return _Shape(mark, commas, (), None)
-    plain = [_UNIT.sub("", cell.lower()).strip() for cell in cells]
+    ascii_only = (normalize("NFKD", cell.lower()).encode("ascii", "ignore").decode() for cell in cells)  # Höhe
+    plain = [_UNIT.sub("", cell).strip() for cell in ascii_only]
     if len(cells) > _MOST_OF_A_POINT and all(map(_is_number, cells[1:])):
         return _Shape(mark, commas, cells, None)  # of a matrix: x above, y in front
-    found = [next((k for k, cell in enumerate(plain) if cell in words), -1) for words in _NAMES.values()]
+    found = _columns(plain)
     return None if min(found) < 0 else _Shape(mark, mark != ",", cells, tuple(found))
+
+
+def _is_header(line: str, below: str = "") -> bool:
+    """Whether a line is of words, and the next of as many numbers."""
+    shape = _shape(below)
+    return shape is not None and not shape.names and len(line.split(shape.mark)) == len(below.split(shape.mark))
+
+
+def _columns(cells: list[str]) -> list[int]:
+    """Where x, y and z are, by their names alone or as a word of `Hoehe_NHN`; -1 where one is not there."""
+    words = [{cell, *re.findall("[a-z]+", cell)} for cell in cells]
+    found = []
+    for names in _NAMES.values():
+        alone = [k for k, cell in enumerate(cells) if cell in names]
+        found.append(next((k for k in (*alone, *range(len(cells))) if words[k] & names and k not in found), -1))
+    return found
 
 
 def _is_number(text: str) -> bool:
@@ -133,7 +152,13 @@ def _points(source: SourceFile, most: int) -> NDArray[np.float64]:
         while not _is_line(first):
             first, before = stream.readline(_LONGEST_LINE), before + 1
         shape = _shape(first)
-        assert shape is not None  # else it would not have been recognised
+        if shape is None:
+            looked_for = "; ".join(f"{axis} by {', '.join(words.split())}" for axis, words in _WORDS.items())
+            raise HeightmapError(
+                f"{source.name}: its columns are {first.strip()[:80]!r}, of which not all are known: {looked_for}. "
+                "Rename three of them to x, y and z",
+                columns=first.strip()[:80],
+            )
         lines = itertools.chain([] if shape.names else [first], iter(lambda: stream.readline(_LONGEST_LINE), ""))
         before -= not shape.names
         parts, found, columns = list[NDArray[np.float64]](), 0, 0
@@ -174,4 +199,14 @@ def _regular(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:
             if np.abs(np.cumsum(steps) / side - np.arange(1, steps.size + 1)).max() > _ROUNDED:
                 return None
         sides.append(side)
-    return sides[0] if abs(sides[0] - sides[1]) <= SAME_LENGTH * sides[0] else None
+    return sides[0] if abs(sides[0] - sides[1]) <= SAME_LENGTH * sides[0] and _neighbours(x, y, sides[0]) else None
+
+
+def _neighbours(x: NDArray[np.float64], y: NDArray[np.float64], side: float) -> bool:
+    """Whether at least half of the points have one a step to the east or to the north: places that are rounded to
+    millimetres are on a grid, too, of which nearly all cells are empty.
+    """
+    col, row = (np.round((values - values.min()) / side).astype(np.int64) for values in (x, y))
+    long = int(col.max()) + 2
+    cells = np.unique(row * long + col)
+    return bool(2 * np.sum(np.isin(cells + 1, cells) | np.isin(cells + long, cells)) >= cells.size)
