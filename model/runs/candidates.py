@@ -12,7 +12,7 @@ from joulemap.model.errors import RunsError
 from joulemap.model.runs.formats.columns import CLOCK, DATE
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.mapping import Source
-from joulemap.model.runs.names import LIKELY, NAMED, POSSIBLE, Candidate, candidate
+from joulemap.model.runs.names import LIKELY, NAMED, POSSIBLE, Candidate, candidate, words_of
 from joulemap.model.runs.table import LEAST_ROWS, FloatArray, known_values, spread
 
 CONFIDENCE = {NAMED: 0.99, LIKELY: 0.95, POSSIBLE: 0.7, 0: 0.6}
@@ -77,6 +77,13 @@ def candidates_of(target: str, stream: Stream, taken: Collection[str]) -> list[C
         speaking = [each for each in speaking if each.sureness]
     own = [each for each in speaking if each.column == target or each.column.startswith(f"{target} (")]  # or it twice
     return own or sorted(speaking, key=lambda each: (-each.sureness, -each.total))
+
+
+def has_partner(each: Candidate, stream: Stream) -> bool:
+    """Return whether a column called x has one called y beside it, or the other way round: `Pos_X` and `Pos_Y`."""
+    other = {"x": "y", "y": "x", "easting": "northing", "northing": "easting", "east": "north", "north": "east"}
+    wanted = [other.get(word, word) for word in words_of(each.column)]
+    return any(words_of(column) == wanted for column in stream.numbers)
 
 
 def _is_part(column: str, stream: Stream) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from joulemap.model.runs.candidates import CONFIDENCE, Recognised, candidates_of, speaks, surest
+from joulemap.model.runs.candidates import CONFIDENCE, Recognised, candidates_of, has_partner, speaks, surest
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.mapping import Source, replaced, source_of
 from joulemap.model.runs.names import NAMED, POSSIBLE, Candidate, ruled_out, side_of, wheel_speed, words_of
@@ -36,8 +36,7 @@ def recognised(stream: Stream, mapping: Mapping[str, str], name: str) -> Recogni
     for target in ("lat", "lon", "x", "y", "z", "distance", "energy", "charge", "soc", "heading"):
         if not replaced(target, mapping):
             _choose(target, stream, found)
-    if "x" in found.chosen and not {"t", "y"} & {*found.chosen, *found.questions}:
-        take_axis(stream, found)
+    take_axis(stream, found)
     _choose_speeds(stream, mapping, found)
     if stream.packs:
         found.packs = [(Source(((1, volt),)), Source(((1, amp),))) for volt, amp in stream.packs]
@@ -62,6 +61,8 @@ def _choose(target: str, stream: Stream, found: Recognised, *, least: int = 0) -
         return
     candidates = [each for each in candidates_of(target, stream, found.taken) if each.sureness >= least]
     tied = surest(candidates, stream.numbers)
+    if target in ("x", "y"):
+        tied = [each for each in tied if has_partner(each, stream)] or tied
     if len(tied) == 1 or (tied and target == "z"):
         found.take(target, tied[:1])
     elif tied:

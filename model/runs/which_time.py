@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from joulemap.model.runs.agreement import epoch_of
-from joulemap.model.runs.candidates import CONFIDENCE, Recognised, candidates_of, surest
+from joulemap.model.runs.candidates import CONFIDENCE, Recognised, candidates_of, has_partner, surest
 from joulemap.model.runs.formats.columns import CLOCK, DATE
 from joulemap.model.runs.formats.contract import Stream
 from joulemap.model.runs.mapping import Source
@@ -47,12 +47,25 @@ def _take_epoch(stream: Stream, found: Recognised) -> None:
 
 
 def take_axis(stream: Stream, found: Recognised) -> None:
-    """Take a lone `x` that rises in every row, the axis of a plot, for the time in seconds."""
-    source = found.chosen["x"]
-    if _rises(stream.numbers[source.columns[0]]) == 1.0 and source.unit in ("", "s"):
-        found.chosen["t"] = Source(found.chosen.pop("x").parts, "s")
-        found.confidence["t"] = min(found.confidence.pop("x"), CONFIDENCE[POSSIBLE])
-        found.notes.append(f"`t` is taken from {source.columns[0][:60]}, in seconds: it rises, and there is no y")
+    """Take a column called `x` that rises in every row and has no `y`, the axis of a plot, for the time in seconds."""
+    known = {*found.chosen, *found.questions}
+    if "t" in known:
+        return
+    only_x = "x" in found.chosen and "y" not in known
+    taken = found.taken - {*found.chosen["x"].columns} if only_x else found.taken
+    lone = [
+        each.column
+        for each in candidates_of("x", stream, taken)
+        if each.unit in ("", "s") and not has_partner(each, stream) and _rises(stream.numbers[each.column]) == 1.0
+    ]
+    if len(lone) != 1:
+        return
+    column = lone[0]
+    if only_x:
+        del found.chosen["x"], found.confidence["x"]
+    found.chosen["t"] = Source(((1, column),), "s")
+    found.confidence["t"] = CONFIDENCE[POSSIBLE]
+    found.notes.append(f"`t` is taken from {column[:60]}, in seconds: it rises, and there is no y")
 
 
 def _rising(tied: Sequence[Candidate], stream: Stream) -> list[Candidate]:

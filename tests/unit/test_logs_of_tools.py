@@ -68,6 +68,13 @@ SHAPES = {
         "Time,GPS Latitude,GPS Longitude,Batt Volts,Batt Curr\ns,deg,deg,mV,mA",
         lambda k: f"{T[k]},{LAT[k]:.7f},{LON[k]:.7f},{1000 * U[k]:.0f},{1000 * AMPS[k]:.1f}",
     ),
+    "LabVIEW: two headers, decimal commas, and the time as X_Value": table(
+        "X_Value\tVoltage_0\tCurrent_1\tPos_X\tPos_Y\tComment",
+        lambda k: "\t".join(f"{v:.6f}" for v in (T[k], U[k], AMPS[k], X[k], Y[k])).replace(".", ",") + "\t",
+        before="LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t,\nX_Columns\tOne\n***End_of_Header***\t\n"
+        "\t\nChannels\t4\t\t\t\nY_Unit_Label\tVolts\tAmperes\tMeters\tMeters\nX_Dimension\tTime\tTime\tTime\tTime\n"
+        "Delta_X\t1,000000\t1,000000\t1,000000\t1,000000\n***End_of_Header***\t\t\t\t\n",
+    ),
     "lines that begin with a bracket": table(
         "", lambda k: f"[{T[k]:.1f}] t={T[k]:.1f} lat={LAT[k]:.7f} lon={LON[k]:.7f} voltage={U[k]} current={AMPS[k]}"
     ).lstrip(),
