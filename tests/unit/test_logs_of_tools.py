@@ -143,6 +143,25 @@ SHAPES = {
         "000000000\n"
         for k in ROWS
     ),
+    "InfluxDB's export, with its preamble and another voltage": "# DDL\nCREATE DATABASE robots WITH NAME autogen\n"
+    "# DML\n# CONTEXT-DATABASE:robots\n# CONTEXT-RETENTION-POLICY:autogen\n"
+    + "".join(
+        f"battery,host=r1 voltage={U[k]:.3f},current={AMPS[k]:.4f},charging=false {1717424405 + k}000000000\n"
+        f'radio,host=r1 voltage=5.0,mode="a b" {1717424405 + k}000000000\n'
+        f"pose,frame=map,host=r1 lat={LAT[k]:.7f},lon={LON[k]:.7f},seq={k}i {1717424405 + k}000000000\n"
+        for k in ROWS
+    ),
+    "OpenMetrics: a series after another": "".join(
+        f"# HELP robot_{name} of it\n# TYPE robot_{name} gauge\n"
+        + "".join(f'robot_{name}{{instance="r1:9100"}} {values[k]:.7f} {1717424405 + k}.250\n' for k in ROWS)
+        for name, values in {
+            "battery_voltage_volts": U,
+            "battery_current_amperes": AMPS,
+            "gps_latitude_degrees": LAT,
+            "gps_longitude_degrees": LON,
+        }.items()
+    )
+    + "# EOF\n",
     "Grafana: watts and kilowatts in one column": table(
         '"Time","Latitude","Longitude","Power"',
         lambda k: f'"{at(k, "%Y-%m-%d %H:%M:%S")}",{LAT[k]:.7f},{LON[k]:.7f},'

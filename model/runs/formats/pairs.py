@@ -1,10 +1,11 @@
-"""Logs as lines of `name=value` or `name: value`: serial output, InfluxDB's line protocol, decoded CAN messages."""
+"""Logs as lines of `name=value` or `name: value`: serial output, decoded CAN messages, points of series."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
 
+from joulemap.model.runs.formats import series
 from joulemap.model.runs.formats.columns import stream_of
 from joulemap.model.runs.formats.contract import Log, content_of
 from joulemap.model.runs.formats.json_records import columns_of
@@ -19,12 +20,15 @@ _STAMP = re.compile(
     r"^\s*(?:\[[A-Za-z]+\]\s*)?[(\[]?\s*(\d[\d.:TZ+ -]{5,40}?)\s*[)\],; ]|(?<=\s)(\d{9,19})\s*$|"
     r"=\"?(\d{4}-\d\d-\d\d[T ]\d\d[\d:.,]+(?:Z|[+-]\d\d:?\d\d)?)"
 )
+_SAMPLE_LINES = 100
 _REMARKS = 5  # lines before the first with pairs, as a board says that it starts
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the first lines after remarks: two pairs with a mark in each, or most cells in pairs."""
+    """Decide by the first lines after remarks: points of series, two pairs with a mark in each, or cells in pairs."""
     lines = [line for line in head.decode("utf-8", "replace").split("\n")[:-1] if line.strip()]
+    if series.are_points(lines):
+        return True
     remarks = next((k for k, line in enumerate(lines[:_REMARKS]) if len(_PAIR.findall(line)) > 1), 0)
     lines = lines[remarks:][:5]
     pairs = [[pair[0] for pair in _PAIR.finditer(line)] for line in lines]
@@ -37,7 +41,8 @@ def recognise(head: bytes, name: str) -> bool:
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
     """Read the pairs."""
     lines = content_of(source).decode("utf-8", "replace").splitlines()
-    table = columns_of(_records(lines, repairs), source.name, limits)
+    points = series.are_points(lines[:_SAMPLE_LINES])
+    table = columns_of(series.records(lines) if points else _records(lines, repairs), source.name, limits)
     return Log((stream_of(table, source.name, limits),))
 
 
