@@ -304,6 +304,32 @@ def test_cells_in_quotes_with_commas_and_dates_in_them():
     assert len(run.t) == ROWS
 
 
+COMMENTS = {
+    "unit and name": "# Logger 1.4\n# date: 2026-11-14\n# columns:\n#   1 ms uptime\n#   2 mV battery voltage\n"
+    "#   3 mA battery current (positive = discharge)\n#   4 mm odometer\n",
+    "name and unit": "# Column 1: Time [ms]\n# Column 2: Battery voltage [mV]\n# Column 3: Battery current [mA]\n"
+    "# Column 4: Distance [mm]\n",
+    "nothing": "",
+    "remarks": "# Logger 1.4\n# 2026-11-14\n",
+}
+
+
+@pytest.mark.parametrize("comments", COMMENTS)
+def test_a_table_without_a_header_is_read_by_its_comments_or_by_numbers(comments):
+    rows = [
+        f"{1e3 * t:.0f}\t{1e3 * v:.1f}\t{1e3 * i:.1f}\t{1e3 * x:.0f}"
+        for t, x, v, i in zip(T, X - X[0], VOLTS, AMPS, strict=True)
+    ]
+    text = COMMENTS[comments] + "\n".join(rows) + "\n"
+    said = {"t": "column 1:ms", "voltage": "column 2:mV", "current": "column 3:mA", "distance": "column 4:mm"}
+    as_it_was(parse_run(text, name="r", mapping=said))
+    if comments in ("nothing", "remarks"):
+        with pytest.raises(RunsError, match=r"a line with the names of the columns above it, or .* t=column 1:ms"):
+            parse_run(text, name="r")
+    else:
+        as_it_was(parse_run(text, name="r"))
+
+
 def test_times_of_laps_what_is_left_and_spaces_before_quotes():
     rows = zip(T, X - X[0], 50 - LEFT, strict=True)
     left = [f'"{t // 60:02.0f}:{t % 60:04.1f}"; "{x:.3f}"; "{e:.6f}"' for t, x, e in rows]

@@ -141,13 +141,7 @@ def _tables(value: Any, depth: int) -> Iterator[list[Any]]:
                 rows = zip(_index(value, len(item)), item, strict=True)
                 yield [first | dict(zip(named, row, strict=False)) for first, row in rows if isinstance(row, list)]
         inside = [item for item in value.values() if isinstance(item, dict)]
-        rows = [*inside[0]] if inside and len(inside) == len(value) else []
-        if len(value) > 1 and len(rows) >= LEAST_ROWS and all(item.keys() == inside[0].keys() for item in inside):
-            indices = _index({"index": [int(row) if row.isdigit() else row for row in rows]}, len(rows))
-            yield [
-                first | {key: item[row] for key, item in value.items()}
-                for first, row in zip(indices, rows, strict=True)
-            ]
+        yield from _by_column(value)
         lists = {key: each for item in inside for key, each in item.items() if _is_long(each)}
         if len(inside) > 1 and len(lists) > 1:  # coordinates, and beside them what was measured at each
             yield from _tables(lists, depth + 1)
@@ -170,6 +164,17 @@ def _named(value: Mapping[str, Any]) -> list[str]:
     """The names of columns: a list of words, of which none is a unit."""
     words = [item for key, item in value.items() if isinstance(item, list) and _are_words(item) and not _of_unit(key)]
     return words[0] if words else []
+
+
+def _by_column(value: Mapping[str, Any]) -> Iterator[list[Any]]:
+    """The records of a table of pandas whose columns are objects, with a field for each row."""
+    columns = [item for item in value.values() if isinstance(item, dict)]
+    if len(columns) < 2 or len(columns) < len(value) or len(columns[0]) < LEAST_ROWS:
+        return
+    rows = [*columns[0]]
+    if all(item.keys() == columns[0].keys() for item in columns):
+        index = _index({"index": [int(row) if row.isdecimal() else row for row in rows]}, len(rows))
+        yield [first | {key: item[row] for key, item in value.items()} for first, row in zip(index, rows, strict=True)]
 
 
 def _index(value: Mapping[str, Any], rows: int) -> list[dict[str, Any]]:

@@ -39,10 +39,10 @@ def records(lines: Sequence[str]) -> Iterator[dict[str, float | str]]:
                 said[field, tag].add(value)
     for name, tags, fields, stamp in points:
         record: dict[str, float | str] = {"time": stamp}
-        for field, value in fields.items():
+        for field, number in fields.items():
             words = [name] if len(names[field]) > 1 or field == "value" else []
             words += [text for tag, text in tags.items() if len(said[field, tag]) > 1]
-            record[".".join([*words, *([] if field == "value" else [field])])] = value
+            record[".".join([*words, *([] if field == "value" else [field])])] = number
         yield record
 
 

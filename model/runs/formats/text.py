@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.formats.columns import named, stream_of
 from joulemap.model.runs.formats.contract import Log, content_of
-from joulemap.model.runs.formats.headerless import fields_of_row
+from joulemap.model.runs.formats.headerless import described, fields_of_row, is_numbered
 from joulemap.model.runs.names import is_unit
 from joulemap.model.runs.table import TableLimits, add_count
 from joulemap.model.source_file import SourceFile
@@ -51,7 +51,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
 
     name = source.name
     content = _utf8(content_of(source), name)
-    separator, header, units, line, start = _header(content, name, limits)
+    separator, header, units, line, start = _header(content, name, limits, numbered=is_numbered(mapping))
     if separator == " ":
         content, start, line, separator = (
             _with_tabs(content[start:]),
@@ -150,7 +150,9 @@ def _no_text(name: str, error: Exception) -> RunsError:
     )
 
 
-def _header(content: bytes, name: str, limits: TableLimits) -> tuple[str, list[str], list[str], bytes, int]:
+def _header(
+    content: bytes, name: str, limits: TableLimits, *, numbered: bool = False
+) -> tuple[str, list[str], list[str], bytes, int]:
     """(separator, names, units, the line with the names, where the rows begin [bytes])."""
     start = _BEFORE_HEADER.match(content).end()  # type: ignore[union-attr]
     line = content[start : _line_end(content, start)]
@@ -169,19 +171,26 @@ def _header(content: bytes, name: str, limits: TableLimits) -> tuple[str, list[s
         raise RunsError.of_run(
             name, "its first line has NUL characters, so it is no text in UTF-8: save it in that encoding"
         )
-    separator = max((*_SEPARATORS, " "), key=lambda mark: _fit([line.text for line in lines], mark))
+    comments = sum(line.after <= start for line in lines)
+    separator = max((*_SEPARATORS, " "), key=lambda mark: _fit([line.text for line in lines[comments:]], mark))
     rows = [_cells(line.text, separator) for line in lines]
     values = [sum(map(_is_value, row)) for row in rows]
     usual = sorted(values)[len(values) * 3 // 4]
     first = _first_row(rows, values, usual)
     block = _block(rows, first)
     if not block:
-        if names := fields_of_row(rows[0], [_is_value(cell) for cell in rows[0]]):
-            return separator, names, [], b"", start
-        if first == 0 and len(rows[0]) > 2 and all(map(_NUMBER.match, filter(None, rows[0]))):
+        top = rows[first]
+        if first <= comments and numbered:
+            return separator, [""] * len(top), [], b"", start
+        before = content[max(start - _SAMPLE_BYTES, 0) : start].decode("utf-8", "replace")
+        names, units = described(before, len(top)) if first <= comments else ([], [])
+        if names := names or fields_of_row(rows[0], [_is_value(cell) for cell in rows[0]]):
+            return separator, names, units, b"", start
+        if first <= comments and len(top) > 2 and all(map(_NUMBER.match, filter(None, top))):
             raise RunsError.of_run(
                 name,
-                f"its first line is {', '.join(rows[0])[:80]!r}: write a line with the names of the columns above it",
+                f"its first line is {', '.join(top)[:80]!r}: write a line with the names of the columns above it, or "
+                "say with a mapping which they are, such as t=column 1:ms,voltage=column 2:mV",
             )
         first = next((k for k, row in enumerate(rows) if any(row)), 0) + 1
         block = [first - 1]

@@ -44,7 +44,9 @@ def place_of(arrays: Mapping[str, NDArray[np.float64]], shape: tuple[int, int], 
     found = {name.lower(): values.ravel() for name, values in arrays.items()}
     named = {name.lower(): name for name in arrays}
     edges, ends, corner = (_single(found, group) for group in (_EDGES, _ENDS, _CORNER))
-    tried = [((key,), _of_transform(found[key], shape)) for key in _TRANSFORMS if key in found]
+    tried: list[tuple[tuple[str, ...], Place | None]] = [
+        ((key,), _of_transform(found[key], shape)) for key in _TRANSFORMS if key in found
+    ]
     tried += [((key,), _of_bounds(found[key], shape, side)) for key in _BOUNDS if key in found]
     for group in (edges, ends):
         if len(group) == 4:
