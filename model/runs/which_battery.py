@@ -35,6 +35,10 @@ def choose_battery(stream: Stream, mapping: Mapping[str, str], found: Recognised
     if not replaced("current", mapping) and not of["current"]:
         _take_motors(stream, taken, found)
     tied = {key: surest(each, numbers) for key, each in of.items()}
+    amps = {each.instance for each in tied["current"]} - {""}
+    volts = [each for each in of["voltage"] if each.instance in amps]  # batteries in parallel have the same
+    if len(amps) == len(tied["current"]) > 1 and {each.instance for each in volts} == amps and len(volts) == len(amps):
+        tied["voltage"] = volts
     several = len(tied["voltage"]) > 1 or len(tied["current"]) > 1
     if several and not _narrowed(tied, numbers):
         _take_packs(tied, found)

@@ -148,7 +148,8 @@ SHAPES = {
     + "".join(
         f"battery,host=r1 voltage={U[k]:.3f},current={AMPS[k]:.4f},charging=false {1717424405 + k}000000000\n"
         f'radio,host=r1 voltage=5.0,mode="a b" {1717424405 + k}000000000\n'
-        f"pose,frame=map,host=r1 lat={LAT[k]:.7f},lon={LON[k]:.7f},seq={k}i {1717424405 + k}000000000\n"
+        f"pose,mode={'auto' if k % 200 < 100 else 'manual'},host=r1 lat={LAT[k]:.7f},lon={LON[k]:.7f},seq={k}i "
+        f"{1717424405 + k}000000000\n"
         for k in ROWS
     ),
     "OpenMetrics: a series after another": "".join(
@@ -238,6 +239,18 @@ def test_a_log_is_read_as_its_program_means_it(shape):
     run = parse_run(SHAPES[shape], name="r", crs="EPSG:32632")
     assert run.energy()[0] == pytest.approx(JOULES, rel=0.02)
     assert cut_segments(run).driven_m.sum() == pytest.approx(S[-1], rel=0.02)
+
+
+def test_series_of_two_batteries_are_not_mixed():
+    lines = [
+        f"battery,pack={pack} voltage={U[k]:.3f},current={share * AMPS[k]:.4f} {1717424405 + k}000000000\n"
+        f"pose lat={LAT[k]:.7f},lon={LON[k]:.7f} {1717424405 + k}000000000\n"
+        for k in ROWS
+        for pack, share in (("1", 0.6), ("2", 0.4))
+    ]
+    run = parse_run("".join(lines), name="r", crs="EPSG:32632")
+    assert run.energy()[0] == pytest.approx(JOULES, rel=0.02)
+    assert "1.voltage" in run.reading["power"]
 
 
 @pytest.mark.parametrize("kind", ["mat", "npz", "nc"])

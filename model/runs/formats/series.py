@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import pairwise
 
 _INFLUX = re.compile(
     r"(?P<name>(?:[^\s,\\]|\\.)+)(?P<tags>(?:,(?:[^\s=,\\]|\\.)+=(?:[^\s,\\]|\\.)+)*) "
@@ -15,6 +16,7 @@ _METRIC = re.compile(
 )
 _FIELD = re.compile(r'(?:^|,)([^\s,="]+)=([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)[iu]?(?=,|$)')
 _TAG = re.compile(r'([\w.-]+)="?((?:[^",\\]|\\.)*)"?')
+_SELDOM = 0.1  # of the points: a mode of driving changes less often
 _Point = tuple[str, dict[str, str], dict[str, float], str]  # measurement, tags, fields and stamp
 
 
@@ -25,10 +27,11 @@ def are_points(lines: Sequence[str]) -> bool:
     return points > 1 and 2 * points > len(lines)
 
 
-def records(lines: Sequence[str]) -> Iterator[dict[str, float | str]]:
-    """Return a record of each point.
+def records(lines: Sequence[str]) -> list[dict[str, float | str]]:
+    """Return a record of all points with the same stamp.
 
-    A field that only one series has keeps its name; else the measurement, and the tags that differ, are before it.
+    A field that only one series has keeps its name; else the measurement, and the tags that differ, are before it. A
+    tag that seldom changes from point to point is a state, and divides no series.
     """
     points = [point for line in lines if (point := _point(line)) is not None]
     names, said = defaultdict[str, set[str]](set), defaultdict[tuple[str, str], set[str]](set)
@@ -37,13 +40,21 @@ def records(lines: Sequence[str]) -> Iterator[dict[str, float | str]]:
             names[field].add(name)
             for tag, value in tags.items():
                 said[field, tag].add(value)
+    apart = {key for key, texts in said.items() if len(texts) > 1 and _divides(points, *key)}
+    found = dict[str, dict[str, float | str]]()
     for name, tags, fields, stamp in points:
-        record: dict[str, float | str] = {"time": stamp}
+        record = found.setdefault(stamp, {"time": stamp})
         for field, number in fields.items():
             words = [name] if len(names[field]) > 1 or field == "value" else []
-            words += [text for tag, text in tags.items() if len(said[field, tag]) > 1]
+            words += [text for tag, text in tags.items() if (field, tag) in apart]
             record[".".join([*words, *([] if field == "value" else [field])])] = number
-        yield record
+    return list(found.values())
+
+
+def _divides(points: Sequence[_Point], field: str, tag: str) -> bool:
+    """Whether series of a field with several values of a tag are logged side by side."""
+    known = sorted((float(t), tags[tag]) for _, tags, fields, t in points if field in fields and tag in tags)
+    return sum(a[1] != b[1] for a, b in pairwise(known)) > _SELDOM * len(known)
 
 
 def _point(line: str) -> _Point | None:
