@@ -152,6 +152,13 @@ SHAPES = {
         f"{1717424405 + k}000000000\n"
         for k in ROWS
     ),
+    "Mission Planner: messages in CSV": "".join(
+        f"{iso(k)[:-1]}.250,FD,1C,0,0,{k % 256},1,1,21,mavlink_global_position_int_t,time_boot_ms,{83200 + 1000 * k},"
+        f"lat,{1e7 * LAT[k]:.0f},lon,{1e7 * LON[k]:.0f},alt,420189,relative_alt,189,vx,21,vy,-12,vz,0,hdg,330,,Len,40\n"
+        f"{iso(k)[:-1]}.260,FD,1F,0,0,{k % 256},1,1,1,mavlink_sys_status_t,onboard_control_sensors_present,325188655,"
+        f"load,212,voltage_battery,{100 * U[k]:.0f},current_battery,{1000 * AMPS[k]:.0f},battery_remaining,88,,Len,43\n"
+        for k in ROWS
+    ),
     "OpenMetrics: a series after another": "".join(
         f"# HELP robot_{name} of it\n# TYPE robot_{name} gauge\n"
         + "".join(f'robot_{name}{{instance="r1:9100"}} {values[k]:.7f} {1717424405 + k}.250\n' for k in ROWS)

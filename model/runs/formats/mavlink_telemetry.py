@@ -20,7 +20,7 @@ _LONGEST_BYTES = 8 + 280  # of a stamp and a message
 _MOST_UNREADABLE = 1_000  # more than there are messages: the rest is not looked at
 _MOST_STEPS = 1_000_000
 """Bytes of no message in which the library may look for the next one [bytes]: it takes a second for so many."""
-_WANTED = wanted_of(
+WANTED = wanted_of(
     {
         "voltage": "BATTERY_STATUS.voltage:mV SYS_STATUS.voltage_battery:mV",
         "current": "BATTERY_STATUS.current_battery:cA SYS_STATUS.current_battery:cA",
@@ -35,7 +35,9 @@ _WANTED = wanted_of(
         "speed": "VFR_HUD.groundspeed:m/s",
     }
 )
-_FIELDS = fields_by_kind(_WANTED)
+"""By joulemap's column, where it may be found."""
+FIELDS = fields_by_kind(WANTED)
+"""The fields that are wanted of each kind of message."""
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -71,7 +73,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
                         break
                     continue
                 whole_messages += 1
-                keys = message.get_fieldnames() if mentioned(mapping, kind) else _FIELDS.get(kind)
+                keys = message.get_fieldnames() if mentioned(mapping, kind) else FIELDS.get(kind)
                 if keys is None:
                     continue
                 values = {key: float(v) for key in keys if isinstance(v := getattr(message, key, None), (int, float))}
@@ -94,7 +96,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             f"of it are no messages, and {whole_messages:,} are",
             byte=broken,
         )
-    return log_of(collector.streams(), _WANTED, notes=notes)
+    return log_of(collector.streams(), WANTED, notes=notes)
 
 
 def _about_end(path: Path, fill: int) -> tuple[int, list[str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 
-from joulemap.model.runs.formats import series
+from joulemap.model.runs.formats import mavlink_text, series
 from joulemap.model.runs.formats.columns import stream_of
 from joulemap.model.runs.formats.contract import Log, content_of
 from joulemap.model.runs.formats.json_records import columns_of
@@ -25,9 +25,9 @@ _REMARKS = 5  # lines before the first with pairs, as a board says that it start
 
 
 def recognise(head: bytes, name: str) -> bool:
-    """Decide by the first lines after remarks: points of series, two pairs with a mark in each, or cells in pairs."""
+    """Decide by the first lines after remarks: messages, points, two pairs with a mark in each, or cells in pairs."""
     lines = [line for line in head.decode("utf-8", "replace").split("\n")[:-1] if line.strip()]
-    if series.are_points(lines):
+    if series.are_points(lines) or mavlink_text.are_messages(lines):
         return True
     remarks = next((k for k, line in enumerate(lines[:_REMARKS]) if len(_PAIR.findall(line)) > 1), 0)
     lines = lines[remarks:][:5]
@@ -41,6 +41,8 @@ def recognise(head: bytes, name: str) -> bool:
 def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
     """Read the pairs."""
     lines = content_of(source).decode("utf-8", "replace").splitlines()
+    if mavlink_text.are_messages(lines[:_SAMPLE_LINES]):
+        return mavlink_text.log_of_lines(lines, source.name, mapping, limits)
     points = series.are_points(lines[:_SAMPLE_LINES])
     table = columns_of(series.records(lines) if points else _records(lines, repairs), source.name, limits)
     return Log((stream_of(table, source.name, limits),))
