@@ -3,6 +3,8 @@
 import io
 import json
 from datetime import datetime, timedelta
+from functools import reduce
+from operator import xor
 
 import numpy as np
 import pytest
@@ -49,6 +51,28 @@ def table(head: str, line=row, before: str = "") -> str:
 def by_name(head: str, line, names=("lat", "lon", "u", "i"), before: str = "") -> str:
     values = {"lat": LAT, "lon": LON, "u": U, "i": AMPS}
     return f"{before}{head}\n" + "".join(f"{line(k, n, values[n][k])}\n" for n in names for k in ROWS)
+
+
+def sentence(content: str) -> str:
+    return f"${content}*{reduce(xor, content.encode()):02X}\r\n"
+
+
+def arc(degrees: float, width: int) -> str:
+    return f"{int(degrees):0{width}d}{60 * (degrees % 1):010.7f}"
+
+
+def of_nmea(k: int, battery: str) -> str:
+    place, time = f"{arc(LAT[k], 2)},N,{arc(LON[k], 3)},E", at(k, "%H%M%S.25")
+    return "".join(
+        map(
+            sentence,
+            (
+                f"GNRMC,{time},A,{place},{V[k] / 0.514444:.3f},40.0,{at(k, '%d%m%y')},,,R",
+                f"GNGGA,{time},{place},4,17,0.7,420.0,M,47.2,M,1.0,0000",
+                battery.format(time=time, u=U[k], i=AMPS[k]),
+            ),
+        )
+    )
 
 
 UNIT = {"u": "V", "i": "A"}
@@ -152,6 +176,10 @@ SHAPES = {
         f"{1717424405 + k}000000000\n"
         for k in ROWS
     ),
+    "NMEA: a proprietary sentence of the battery": "".join(
+        of_nmea(k, "PBAT,{time},{u:.3f},V,{i:.4f},A,88") + "$GNRMC,broken*00\r\n" * (k == 9) for k in ROWS
+    ),
+    "NMEA: the battery as transducers": "".join(of_nmea(k, "IIXDR,U,{u:.3f},V,BATT,I,{i:.4f},A,BATT") for k in ROWS),
     "Mission Planner: messages in CSV": "".join(
         f"{iso(k)[:-1]}.250,FD,1C,0,0,{k % 256},1,1,21,mavlink_global_position_int_t,time_boot_ms,{83200 + 1000 * k},"
         f"lat,{1e7 * LAT[k]:.0f},lon,{1e7 * LON[k]:.0f},alt,420189,relative_alt,189,vx,21,vy,-12,vz,0,hdg,330,,Len,40\n"

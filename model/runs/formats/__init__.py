@@ -19,6 +19,7 @@ FORMATS = [
     LogFormat("JSON text", (".json", ".jsonl", ".ndjson", ".geojson"), ".json_records", text=True),
     LogFormat("YAML text", (".yaml", ".yml"), ".yaml_documents", text=True),
     LogFormat("track in XML", (".gpx", ".tcx"), ".xml_track", text=True),
+    LogFormat("NMEA 0183 sentences", (".nmea", ".log", ".txt"), ".nmea", text=True),
     LogFormat("lines of name=value", (".txt", ".log"), ".pairs", text=True),
     LogFormat("CSV text", (".csv", ".tsv", ".txt"), ".text", text=True),
 ]
