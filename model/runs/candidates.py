@@ -82,7 +82,8 @@ def candidates_of(target: str, stream: Stream, taken: Collection[str]) -> list[C
 def has_partner(each: Candidate, stream: Stream) -> bool:
     """Return whether a column called x has one called y beside it, or the other way round: `Pos_X` and `Pos_Y`."""
     other = {"x": "y", "y": "x", "easting": "northing", "northing": "easting", "east": "north", "north": "east"}
-    wanted = [other.get(word, word) for word in words_of(each.column)]
+    plain = re.sub(r" \(\d+\)$", "", each.column)  # the second of a name is no other
+    wanted = [other.get(word, word) for word in words_of(plain)]
     return any(words_of(column) == wanted for column in stream.numbers)
 
 
