@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,6 +33,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the files that take long; the rest keeps its order."""
     order = {Path(__file__).parent / name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: order.get(item.path, len(order)))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_template() -> Iterator[Callable[..., Any]]:
+    """Services and commands of this process read files in forks of one template, because it takes seconds to load.
+
+    What is yielded gives each its own again, and so does another working directory.
+    """
+    from joulemap.service.intake.limits import ReadLimits
+    from joulemap.service.intake.readers import Readers
+
+    shared, own, here = Readers(processes=1, queue=1, limits=ReadLimits(1.0, 1.0)), Readers._current, Path.cwd()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            Readers, "_current", lambda self, broken=None: own(shared if Path.cwd() == here else self, broken)
+        )
+        yield own
+    shared.close()
 
 
 @pytest.fixture(scope="session")
