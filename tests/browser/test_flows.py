@@ -149,6 +149,7 @@ def test_the_loop(browser: Any, address: str, calibrated_on: str, tmp_path: Path
         tab.page.wait_for_function("() => joulemap.now.before === null")
 
 
+@pytest.mark.slow
 def test_whatever_is_found_is_shown(browser: Any, address: str, calibrated_on: str, monkeypatch: Any) -> None:
     """A report with an effect of every form, which cannot be distinguished, as `POST /v1/calibrations` answers it."""
     runs = Runs(compared=True)

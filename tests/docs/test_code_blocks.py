@@ -19,6 +19,17 @@ from tests.docs.code_blocks import DATA, ROOT, RUN, Machine, blocks_of, own_test
 BLOCKS = {page: blocks_of(page) for page in pages()}
 RUNNABLE = [page for page, blocks in BLOCKS.items() if any(b.language in RUN and b.mark != "not run" for b in blocks)]
 SLOW = [page for page in RUNNABLE if any(b.mark == "slow" for b in BLOCKS[page])]
+LONG = (
+    "docs/how-to/my-service.md",
+    "docs/how-to/my-robot-in-the-loop.md",
+    "docs/how-to/my-mission.md",
+    "docs/how-to/will-it-make-it.md",
+    "docs/how-to/my-logs.md",
+    "docs/how-to/while-driving.md",
+    "docs/how-to/reach.md",
+    "docs/how-to/my-ground.md",
+)
+"""Pages that `make test-slow` runs."""
 NOT_RUN = 20
 """As many blocks as may be left out, at most: each needs what a test has not (Docker, a cluster, the installation)."""
 
@@ -74,7 +85,7 @@ def _run(page: str, folder: Path, request: pytest.FixtureRequest, *, slow: bool)
     assert PRINTED.get(page, "") in printed
 
 
-@pytest.mark.parametrize("page", RUNNABLE)
+@pytest.mark.parametrize("page", [pytest.param(p, marks=[pytest.mark.slow] * (p in LONG)) for p in RUNNABLE])
 def test_every_block_of_a_page_runs(page: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     _run(page, tmp_path, request, slow=False)
 

@@ -27,7 +27,7 @@ from joulemap.model.terrain.layers.layer import Layer
 from joulemap.model.terrain.layers.stack import Layers
 from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on
 
-SEEDS = (1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow))
+SEEDS = (1, 2, 3)
 FACTORS = {"meadow": 1.0, "moss": 1.6, "bog": 2.4}
 
 
@@ -72,6 +72,7 @@ class _Knowing(PhysicsPredictor):
         return super().segment_traction(replace(heightmap, layers=self._layers), robot, x, y, heading_rad)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_hidden_kinds_are_learned_and_hold_on_another_site(tmp_path: Path, seed: int) -> None:
     """The error at plan time, on a site that had no part, is within 1.05 of that with the true cost of each kind."""

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from tests.loop import blind
 from tests.loop.calibrator import joulemap
@@ -24,6 +25,7 @@ def read_once_a_second(logs: Sequence[Log], rng: np.random.Generator) -> list[Lo
     return [_slow(log) for log in logs]
 
 
+@pytest.mark.slow
 def test_a_slow_meter_costs_little() -> None:
     """The same wet patch is found, and on drives that took no part the error is at most 5 % larger; in steps it was by
     14 %.

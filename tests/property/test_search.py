@@ -36,7 +36,7 @@ def states_graph(lattice, neighbours):
     return out
 
 
-@settings(max_examples=400, deadline=None, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 10**6),
     neighbours=st.sampled_from([8, 16, 32]),

@@ -376,6 +376,7 @@ def test_a_full_queue_is_told(tmp_path: Path) -> None:
         assert refused.headers["retry-after"] == "10"
 
 
+@pytest.mark.slow
 def test_a_killed_calibration_is_done_again(tmp_path: Path) -> None:
     """A real process, killed without warning while it calibrates."""
     with serving(tmp_path, place="/readyz") as (_, http):

@@ -134,6 +134,7 @@ def made_there(store: Store, costmap_id: str, models_dir: Path) -> None:
     store.tidy(costmap_id)
 
 
+@pytest.mark.slow
 def test_nothing_is_left_in_an_object_store_whenever_it_is_deleted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

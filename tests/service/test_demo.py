@@ -57,6 +57,7 @@ def test_the_demo_answers_and_ends(tmp_path: Path) -> None:
         httpx.get(f"{said['url']}/healthz", timeout=2.0)
 
 
+@pytest.mark.slow
 def test_the_service_goes_on_until_it_is_stopped(tmp_path: Path) -> None:
     """On another heightmap, with the wanted port taken; Ctrl-C ends both processes."""
     row, col = np.mgrid[0:24, 0:30]

@@ -173,6 +173,7 @@ def test_the_root_is_read_only_and_nothing_more_is_allowed(image: Image, name: s
     assert image.env["MPLCONFIGDIR"].startswith(image.env["NUMBA_CACHE_DIR"])
 
 
+@pytest.mark.slow
 def test_the_command_starts_and_its_health_check_tells_so(image: Image, tmp_path: Path) -> None:
     start_and_check(image, Path(sys.executable).parent, tmp_path, os.environ)
 

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 PROBE = """
 import gc, json, sys, tempfile
 from contextlib import suppress
@@ -58,6 +60,7 @@ with TestClient(create_app(settings)) as client:
 """
 
 
+@pytest.mark.slow
 def test_requests_after_the_warm_up_compile_nothing() -> None:
     """In a process of its own, where nothing but the warm-up came before."""
     root = Path(__file__).resolve().parents[2]

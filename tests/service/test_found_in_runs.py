@@ -27,8 +27,11 @@ def sent(client: TestClient, folder: Path, ground: str) -> str:
     return str(answer.json()["id"])
 
 
-def test_a_curve_against_baseline_runs_is_found_and_drawn(client: TestClient, tmp_path: Path) -> None:
-    case = case_of("low_mud:1:990298:3:60")
+@pytest.mark.parametrize(
+    "name", ["low_mud:1:990298:3:60", pytest.param("heater:0:990641:3:60", marks=pytest.mark.slow)]
+)
+def test_a_curve_against_baseline_runs_is_found_and_drawn(client: TestClient, tmp_path: Path, name: str) -> None:
+    case = case_of(name)
     case.write(tmp_path)
     ground = client.post("/v1/heightmaps", content=(tmp_path / "dem.tif").read_bytes()).json()["id"]
     robot = {key: value for key, value in case.declared.as_dict().items() if value is not None}

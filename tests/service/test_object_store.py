@@ -142,6 +142,7 @@ def test_what_is_kept_is_there_as_a_whole_or_not_at_all(tmp_path: Path, wire: Wi
     assert not list(tmp_path.glob("*.partial"))
 
 
+@pytest.mark.slow
 def test_services_and_workers_that_share_no_folder(tmp_path: Path, wire: Wire, hill_tif: bytes) -> None:
     """A worker that is killed leaves its tiles to another machine; the cost map is that of one process, bit by bit."""
     expected = undisturbed(tmp_path / "alone")
@@ -252,7 +253,7 @@ def test_an_object_store_that_is_away_is_told_and_waited_for(tmp_path: Path, wir
         assert [path.name for path in (tmp_path / "heightmaps").iterdir()] == [f"{heightmap}.tif"]
         wait_until(lambda: "object store" in client.get("/readyz").text)
         place = client.post("/v1/costmaps", json={"heightmap_id": heightmap, **MAP}).headers["location"]
-        time.sleep(3.0)
+        time.sleep(1.0)
         assert status(client, place) in ("queued", "running")
         wire.cut = False
         wait_until(lambda: status(client, place) == "done")
@@ -283,7 +284,7 @@ def test_a_damaged_object_is_told_and_a_check_makes_the_map_again(
     tmp_path: Path, hill_tif: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     objects = tmp_path / "objects"
-    settings = settings_for(tmp_path / "data", store=f"file://{objects}", workers=1)
+    settings = settings_for(tmp_path / "data", store=f"file://{objects}")
     question = {"start": START, "goal": GOAL}
     with TestClient(create_app(settings)) as client:
         place = client.post("/v1/costmaps", files={"file": hill_tif}, data={"options": json.dumps(MAP)}).headers[

@@ -6,7 +6,7 @@ import os
 import signal
 import sqlite3
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from joulemap.service.storage.database import check_pages
 from joulemap.service.storage.owners import add_key, revoke_keys
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import SCHEMA, HeightmapRow
-from tests.service.conftest import settings_for
+from tests.service.conftest import hill, settings_for
 from tests.service.test_contract import served
 from tests.service.test_restart import wait_until
 
@@ -197,35 +197,40 @@ class Clocks:
         return lambda: self.day_s, lambda: self.boot_s
 
 
+@pytest.fixture
+def aged(tmp_path: Path) -> Iterator[tuple[Callable[[], Retention], Clocks, str]]:
+    """Makes what removes unused things after 30 days; its clocks; a heightmap that is kept."""
+    settings, clocks = settings_for(tmp_path, workers=0, retention_days=30.0), Clocks()
+    store = Store(tmp_path, f"sqlite:///{tmp_path / 'joulemap.db'}")
+    store.open()
+    kept = store.add_heightmap(hill(), name="hill", stats={}).id
+    yield lambda: Retention(settings, store, {}, clocks=clocks.both()), clocks, kept
+    store.close()
+
+
 @pytest.mark.parametrize("jump_days", [400.0, -400.0])
-def test_a_clock_that_jumps_removes_nothing(tmp_path: Path, hill_tif: bytes, jump_days: float) -> None:
-    settings = settings_for(tmp_path / "data", workers=0, retention_days=30.0)
-    with TestClient(create_app(settings)) as client:
-        service, clocks = client.app.state.service, Clocks()  # type: ignore[attr-defined]
-        kept = client.post("/v1/heightmaps", files={"file": ("hill.tif", hill_tif)}).json()["id"]
-        retention = Retention(settings, service.store, {}, clocks=clocks.both())
-        clocks.pass_by(60.0)
-        clocks.day_s += jump_days * DAY_S
-        assert retention.sweep() == []
-        clocks.pass_by(SWEEP_S + 1.0)
-        assert retention.sweep() == []
-        clocks.pass_by(29.0 * DAY_S)
-        assert retention.sweep() == []
-        clocks.pass_by(2.0 * DAY_S)
-        assert retention.sweep() == [kept], "time that really passed counts"
+def test_a_clock_that_jumps_removes_nothing(aged: Any, jump_days: float) -> None:
+    begin, clocks, kept = aged
+    retention = begin()
+    clocks.pass_by(60.0)
+    clocks.day_s += jump_days * DAY_S
+    assert retention.sweep() == []
+    clocks.pass_by(SWEEP_S + 1.0)
+    assert retention.sweep() == []
+    clocks.pass_by(29.0 * DAY_S)
+    assert retention.sweep() == []
+    clocks.pass_by(2.0 * DAY_S)
+    assert retention.sweep() == [kept], "time that really passed counts"
 
 
-def test_a_wrong_clock_at_the_start_removes_nothing(tmp_path: Path, hill_tif: bytes) -> None:
-    settings = settings_for(tmp_path / "data", workers=0, retention_days=30.0)
-    with TestClient(create_app(settings)) as client:
-        service, clocks = client.app.state.service, Clocks()  # type: ignore[attr-defined]
-        client.post("/v1/heightmaps", files={"file": ("hill.tif", hill_tif)})
-        clocks.day_s += 400.0 * DAY_S
-        retention = Retention(settings, service.store, {}, clocks=clocks.both())
-        assert retention.sweep() == []
-        clocks.day_s -= 400.0 * DAY_S  # as a time server sets it, some minutes later
-        clocks.pass_by(120.0)
-        assert retention.sweep() == []
+def test_a_wrong_clock_at_the_start_removes_nothing(aged: Any) -> None:
+    begin, clocks, _ = aged
+    clocks.day_s += 400.0 * DAY_S
+    retention = begin()
+    assert retention.sweep() == []
+    clocks.day_s -= 400.0 * DAY_S  # as a time server sets it, some minutes later
+    clocks.pass_by(120.0)
+    assert retention.sweep() == []
 
 
 def test_the_documentation_runs_no_other_script(client: TestClient) -> None:

@@ -24,7 +24,7 @@ from tests.service.test_restart import SERVE, answers, wait_until
 pytestmark = pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is not installed")
 
 _CLIENTS = 40
-_PATIENCE_S = 5
+_PATIENCE_S = 3
 
 
 class Ports:

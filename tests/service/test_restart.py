@@ -139,7 +139,7 @@ def status(http: Any, place: str) -> str:
 @pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_job_that_is_cut_off_is_taken_up_again(tmp_path: Path, hill_tif: bytes, how: signal.Signals) -> None:
     """A real process that ends, one way or the other, while its workers make a cost map."""
-    with serving(tmp_path, **disturbed(tile_cells=16, pause_s=1.0)) as (process, http):
+    with serving(tmp_path, **disturbed(tile_cells=16, pause_s=0.6)) as (process, http):
         place = ask(http, hill_tif)
         wait_until(lambda: 0.0 < http.get(place).json()["progress"] < 0.8)
         assert status(http, place) == "running"
@@ -173,17 +173,6 @@ def test_who_waits_for_a_job_is_answered_when_the_service_stops(
     assert "Finished server process" in capfd.readouterr().err
 
 
-def test_deleting_stops_a_job(tmp_path: Path, hill_tif: bytes) -> None:
-    with serving(tmp_path, **disturbed(tile_cells=16, pause_s=0.7)) as (_, http):
-        place = ask(http, hill_tif)
-        wait_until(lambda: status(http, place) == "running")
-        assert http.delete(place).status_code == 204
-        assert http.get(place).status_code == 404
-        after = ask(http, hill_tif)
-        wait_until(lambda: status(http, after) == "done")
-        wait_until(lambda: [p.name for p in (tmp_path / "costmaps").iterdir()] == [f"{after.rsplit('/', 1)[-1]}.zarr"])
-
-
 def test_a_service_that_stops_while_a_job_is_noted_as_done_leaves_nothing_of_its_making(
     tmp_path: Path, hill_tif: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,19 +192,27 @@ def test_a_service_that_stops_while_a_job_is_noted_as_done_leaves_nothing_of_its
     assert [path.name for path in (tmp_path / "costmaps").iterdir()] == [f"{costmap['id']}.zarr"]
 
 
-def test_a_killed_worker_is_replaced_and_a_full_disk_waited_for(tmp_path: Path, hill_tif: bytes) -> None:
+def test_a_full_disk_is_waited_for_deleting_stops_a_job_and_a_killed_worker_is_replaced(
+    tmp_path: Path, hill_tif: bytes
+) -> None:
     full = tmp_path / "full"
     full.touch()
     with serving(tmp_path, **disturbed(tile_cells=16, pause_s=0.5, full=full)) as (process, http):
         place = ask(http, hill_tif)
         wait_until(lambda: status(http, place) == "running")
-        time.sleep(3.0)
+        time.sleep(2.0)
         assert status(http, place) == "running"  # it is not the job's fault
         full.unlink()
         wait_until(lambda: list(tmp_path.glob("costmaps/*.tiles/0.json")))
+        assert http.delete(place).status_code == 204
+        assert http.get(place).status_code == 404
+        after = ask(http, hill_tif)
+        name = after.rsplit("/", 1)[-1]
+        wait_until(lambda: list(tmp_path.glob(f"costmaps/{name}*.tiles/0.json")))
         for worker in workers_of(process.pid):
             os.kill(worker, signal.SIGKILL)
-        wait_until(lambda: status(http, place) == "done")
+        wait_until(lambda: status(http, after) == "done")
+        wait_until(lambda: [p.name for p in (tmp_path / "costmaps").iterdir()] == [f"{name}.zarr"])
 
 
 def workers_of(pid: int) -> list[int]:
@@ -238,6 +235,7 @@ def test_an_error_of_ours_fails_the_job_after_some_tries(tmp_path: Path, hill_ti
         wait_until(lambda: not list((tmp_path / "costmaps").iterdir()))
 
 
+@pytest.mark.slow
 def test_two_services_share_a_database_and_a_folder(tmp_path: Path, hill_tif: bytes) -> None:
     """One takes the questions, the other has the workers."""
     with serving(tmp_path, JOULEMAP_WORKERS="0") as (_, front), serving(tmp_path) as (_, back):

@@ -115,6 +115,7 @@ def test_a_model_that_is_worse_than_the_ridge_regression_says_so():
     assert not _warnings({"rmse_j": 240.0}, told[1], [])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (REAL / "drive").is_dir(), reason=f"no real data in {REAL}")
 def test_four_drives_of_a_warthog_predict_the_fifth_as_well_as_the_best_simple_model(tmp_path):
     files = sorted((REAL / "drive").glob("*.csv"))

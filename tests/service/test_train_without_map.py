@@ -41,8 +41,6 @@ def test_a_model_of_drives_without_a_map_predicts_another_drive(files, tmp_path)
     assert errors[0]["error_share"] > 0.5
     assert errors[1]["error_share"] < 0.06  # 60 W of noise in 0.5 s, of about 420 J a segment: 4.8 %
     assert errors[1]["route_relative_error"] < 0.02
-    made = jm.train(runs=learned, robot=WRONG, out=tmp_path / "again")
-    assert made.facts["version"] == json.loads((tmp_path / "mine" / "config.json").read_text())["version"]
 
 
 def test_what_learns_from_the_shape_of_the_ground_is_refused_without_a_map(files, tmp_path):

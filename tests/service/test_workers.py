@@ -101,6 +101,7 @@ def test_a_map_whose_making_is_not_noted_is_finished(tmp_path: Path) -> None:
     assert tiles.finish(order)["provenance"]["heightmap"]["hash"] == read_heightmap(ground).data_hash
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_comes_late_is_waited_for(tmp_path: Path) -> None:
     port = free_port()
     settings = settings_for(tmp_path, scheduler=f"tcp://127.0.0.1:{port}")

@@ -9,7 +9,7 @@ import re
 from dataclasses import replace
 from functools import cached_property
 from html import escape
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -187,6 +187,7 @@ def test_no_form_is_forgotten(runs):
     assert {form.key for form in runs.forms} == set(FORMS) - never
 
 
+@pytest.mark.slow
 def test_every_variant_of_every_form_ends_in_a_report(runs, monkeypatch, drawn_once, tmp_path):
     for number, form in enumerate(runs.forms):
         document, html = check(runs.found(form, monkeypatch), tmp_path / str(number))
@@ -197,6 +198,7 @@ def test_every_variant_of_every_form_ends_in_a_report(runs, monkeypatch, drawn_o
         assert ("Zero is what the baseline runs show" in html) == (form.key == "curve" and not centred)
 
 
+@pytest.mark.slow
 def test_every_pair_ends_in_a_report(runs, monkeypatch, drawn_once, tmp_path):
     for number, pair in enumerate(combinations(runs.one_of_each, 2)):
         if pair[0].name != pair[1].name:  # one takes the place of the other
@@ -205,10 +207,12 @@ def test_every_pair_ends_in_a_report(runs, monkeypatch, drawn_once, tmp_path):
 
 
 @pytest.mark.parametrize("options", [{"compared": False, "runs": 1}, {"compared": True, "charge": True}], ids=str)
-def test_one_run_and_charge_end_in_a_report(options, monkeypatch, drawn_once, tmp_path):
+def test_every_form_and_every_two_beside_each_other_end_in_a_report(options, monkeypatch, drawn_once, tmp_path):
     runs = Runs(**options)
     for number, form in enumerate(runs.one_of_each):
         check(runs.found(form, monkeypatch), tmp_path / str(number))
+    for pair in pairwise(runs.one_of_each):
+        check(runs.pair(pair, monkeypatch), tmp_path / pair[0].name)
 
 
 def test_figures_of_runs_take_any_name(runs, monkeypatch):

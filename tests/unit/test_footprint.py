@@ -88,7 +88,7 @@ def test_no_pose_of_a_route_meets_a_wall(robot, cells_m, spacing_m):
     planner = RoutePlanner(build_lattice(heightmap, robot, PhysicsPredictor(), spacing_m=spacing_m))
     east = heightmap.frame.bounds[2]
     found = 0
-    for _ in range(12):
+    for _ in range(4):
         start, goal = rng.uniform(0.05 * east, 0.95 * east, (2, 2))
         try:
             plan = planner.plan(tuple(start), tuple(goal), RouteOptions(snap=True))
@@ -97,7 +97,7 @@ def test_no_pose_of_a_route_meets_a_wall(robot, cells_m, spacing_m):
         found += 1
         for route in (plan.route, plan.shortest):
             assert first_collision(route.points[:, :2], robot, wall, heightmap.frame) is None
-    assert found >= 4
+    assert found >= 2
 
 
 def test_stored_and_read_again_it_is_the_same(tmp_path):
