@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -109,9 +108,3 @@ def test_the_pictures_lie_where_they_belong(browser: Any, tmp_path: Path, pictur
         tab.page.uncheck("text=Base map")
         assert tab.page.locator(".leaflet-basemap-pane canvas").count() == 0
         assert "Maps" not in tab.text(".leaflet-control-attribution")
-
-
-def test_without_the_setting_nothing_is_offered(browser: Any, address: str) -> None:
-    with opened(browser, address, hash=f"#map={made(address)}") as tab:
-        assert not re.search("http", tab.response.headers["content-security-policy"])
-        assert tab.page.locator(".leaflet-control-layers, .leaflet-control-attribution").count() == 0

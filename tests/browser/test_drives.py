@@ -73,6 +73,7 @@ def seen(tab: Any) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_a_drive_is_watched_as_it_happens(browser: Any, address: str, service: httpx.Client, costmap: str) -> None:
     drive, log = begun(service, costmap)
     url, half = f"/v1/drives/{drive}/updates", len(log) // 2

@@ -55,6 +55,8 @@ def test_a_link_opens_the_same_view_again(browser: Any, address: str, sample: st
         tab.drawn()
         assert ends(tab) == SAMPLE_ENDS
         assert tab.page.get_attribute("#tab-route", "aria-selected") == "true"
+        assert "http" not in tab.response.headers["content-security-policy"]  # no base map is set, and none offered
+        assert tab.page.locator(".leaflet-control-layers, .leaflet-control-attribution").count() == 0
 
 
 def test_the_answer_follows_a_goal_that_is_dragged(browser: Any, address: str, sample: str) -> None:
@@ -144,7 +146,7 @@ def test_a_service_that_is_away_for_a_moment(browser: Any, address: str, sample:
     ("viewport", "look"),
     [
         pytest.param(WIDE, "light", id="wide, light"),
-        pytest.param(PHONE, "dark", id="phone, dark"),
+        pytest.param(PHONE, "dark", id="phone, dark", marks=pytest.mark.slow),
         pytest.param(WIDE, "dark", id="wide, dark", marks=pytest.mark.slow),
         pytest.param(PHONE, "light", id="phone, light", marks=pytest.mark.slow),
     ],

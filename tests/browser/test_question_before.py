@@ -16,7 +16,7 @@ import pytest
 from tests.browser.chromium import PHONE, inaccessible, opened
 from tests.browser.looks import LOOK, SLOW, Service, check
 
-WALK_S = float(os.environ.get("JOULEMAP_WALK_S", "6"))
+WALK_S = float(os.environ.get("JOULEMAP_WALK_S", "3"))
 """Seconds of the random walk; the time for the questions that are asked again to compare comes on top."""
 ROUTE = ("verdict", "ways", "along", "labels", "curve", "files")
 LOOKED_AT = {"route": ROUTE, "reach": ("reach",), "homeward": ("homeward",)}
@@ -197,7 +197,10 @@ def test_dim_at_once(tab: Any) -> None:
     tab.page.evaluate("release()")
 
 
-@pytest.mark.parametrize("tab", [{}, {"viewport": PHONE, "color_scheme": "dark"}], indirect=True, ids=["wide", "phone"])
+PHONE_DARK = pytest.param({"viewport": PHONE, "color_scheme": "dark"}, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("tab", [{}, PHONE_DARK], indirect=True, ids=["wide", "phone"])
 def test_yes_becomes_no(tab: Any) -> None:
     """The case that was found: there is a yes, and for there and back a no."""
     tab.page.fill("#charge input[type=number]", "1.2")

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.docs.code_blocks import ROOT, blocks_of
 
 PAGE = "docs/how-to/add-a-path-option.md"
@@ -45,6 +47,7 @@ def changed_files() -> dict[str, str]:
     return files
 
 
+@pytest.mark.slow
 def test_two_files_are_changed_and_every_face_has_the_option(tmp_path: Path) -> None:
     assert list(changed_files()) == ["service/questions/path.py", "planner/route_planner.py"]
     run = [sys.executable, "-c", _TRY]

@@ -12,7 +12,7 @@ from joulemap.planner.lattice.loading import load_lattice
 from tests.fuzz.damages import KINDS, answers, make_map, make_older
 
 
-@pytest.mark.parametrize("kind", ["map", "older-map", "network", "calibrated"])
+@pytest.mark.parametrize("kind", ["map", pytest.param("older-map", marks=pytest.mark.slow), "network", "calibrated"])
 def test_no_damage_gives_another_number(tmp_path, kind) -> None:
     found = KINDS[kind](25, 5, tmp_path)
     assert found.others == []

@@ -103,6 +103,7 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
     assert calibrate(field, tmp_path).exit_code == 6  # the version is there already
 
 
+@pytest.mark.slow
 def test_a_calibration_cut_off_leaves_no_model_and_can_be_done_again(field, tmp_path, monkeypatch):
     def cut_off(*_, **__):
         raise KeyboardInterrupt

@@ -23,7 +23,7 @@ from joulemap.service.http.app import create_app
 from joulemap.service.models import load_model
 from joulemap.service.storage.files import MODEL_SUMS, sums_of
 from joulemap.service.storage.tables import CalibrationRow
-from tests.reference.drives import unlike_logs, wheel_logs
+from tests.reference.drives import wheel_logs
 from tests.service.conftest import settings_for
 from tests.service.test_bad_input import check_problem
 from tests.service.test_restart import serving, wait_until
@@ -196,17 +196,6 @@ def test_the_report_keeps_the_checksums_of_its_model(service: TestClient, calibr
     inner = service.app.state.service  # type: ignore[attr-defined]
     kept = json.loads((inner.store.path(CalibrationRow, calibration["id"]) / MODEL_SUMS).read_text())
     assert kept == sums_of(inner.settings.resolved_models_dir / calibration["id"]) != {}
-
-
-def test_a_model_that_is_not_confirmed_is_not_proposed(service: TestClient) -> None:
-    files = [("file", (name, log.encode())) for name, log in unlike_logs().items()]
-    sent = service.post("/v1/runs", files=files, params={"odometry_track_m": "1.0"}).json()
-    asked = {"runs": [sent["id"]], "model": "physics"}
-    done = service.post("/v1/calibrations", json=asked, headers={"Prefer": "wait=200"}).json()
-    assert done["report"]["confirmed_in_plans"] is False
-    page = service.get(done["links"]["page"]).text
-    assert "Not confirmed: keep the model that you have." in page
-    assert "POST /v1/costmaps" not in page
 
 
 def test_wheel_speeds_stand_in_for_positions(service: TestClient, ground_id: str, runs_id: str) -> None:

@@ -35,7 +35,7 @@ from tests.service.api_digest import FOLDER, kept
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.test_calibrations import run_csv
 
-_EXAMPLES = 3  # of an operation, with and against the document each
+_EXAMPLES = 2  # of an operation, with and against the document each
 CHECKS = [
     not_a_server_error,
     status_code_conformance,

@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import httpx
@@ -76,9 +76,10 @@ def test_a_heightmap_is_written_as_a_whole_or_not_at_all(tmp_path: Path) -> None
     assert len(done.stdout.split()) > 10
 
 
-@contextmanager
-def serving_on_small_disk(folder: Path) -> Iterator[tuple[httpx.Client, Path]]:
+@pytest.fixture(scope="module")
+def small_disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[httpx.Client, Path]]:
     """A service, and its data folder as this process sees it."""
+    folder = tmp_path_factory.mktemp("small")
     port = free_port()
     command = on_small_disk("24m", folder, sys.executable, "-c", SERVE, str(folder), str(port))
     env = {**os.environ, "PYTHONPATH": str(ROOT), "JOULEMAP_MIN_FREE_MB": "2", "JOULEMAP_WORKERS": "1"}
@@ -93,74 +94,73 @@ def serving_on_small_disk(folder: Path) -> Iterator[tuple[httpx.Client, Path]]:
 
 
 @needs_mounts
-def test_a_full_disk_is_told_over_http_and_work_goes_on_with_room(tmp_path: Path) -> None:
+def test_a_full_disk_is_told_over_http_and_work_goes_on_with_room(small_disk: tuple[httpx.Client, Path]) -> None:
     small, large = (write_geotiff(None, rough(cells)) for cells in (300, 1200))
     runs = run_csv(0, metres=30.0)
-    with serving_on_small_disk(tmp_path) as (http, folder):
-        kept = http.post("/v1/heightmaps", content=small)
-        assert kept.status_code == 201, kept.text
-        place = f"/v1/heightmaps/{kept.json()['id']}"
-        other = folder / "other"
-        other.write_bytes(bytes(os.statvfs(folder).f_bavail * 4096 - 9_000_000))
-        _refused(http.post("/v1/heightmaps", content=large))  # there is room for it, but not for a second one
-        _refused(http.post("/v1/heightmaps", content=large))
-        with other.open("ab") as more:
-            more.write(bytes(os.statvfs(folder).f_bavail * 4096 - 200_000))
-        _refused(http.post("/v1/heightmaps", content=small))
-        _refused(http.post("/v1/runs", content=runs * 20))
-        wait_until(lambda: "the disk is full" in http.get("/readyz").text)
-        assert http.get("/healthz").status_code == 200
-        assert http.get(place).json() == kept.json()
-        assert [path.name for path in (folder / "heightmaps").iterdir()] == [f"{kept.json()['id']}.tif"]
-        assert list((folder / "runs").iterdir()) == []
-        assert [
-            path for path in (folder / "uploads").rglob("*") if path.is_file() and not path.suffix.endswith("lock")
-        ] == []
-        asked = {"heightmap_id": kept.json()["id"], "model": "physics", "headings": 8}
-        job = http.post("/v1/costmaps", json=asked)
-        if job.status_code == 202:  # the database may have found room for its row
-            wait_until(lambda: status(http, job.headers["location"]) in ("queued", "running"))
-        else:
-            _refused(job)
-        other.unlink()
-        job = http.post("/v1/costmaps", json=asked) if job.status_code != 202 else job
-        wait_until(lambda: status(http, job.headers["location"]) == "done")
-        wait_until(lambda: answers(http, "/readyz"))
-        again = read_heightmap((folder / "heightmaps" / f"{kept.json()['id']}.tif").read_bytes())
-        np.testing.assert_array_equal(again.heights, rough(300).heights)
+    http, folder = small_disk
+    kept = http.post("/v1/heightmaps", content=small)
+    assert kept.status_code == 201, kept.text
+    place = f"/v1/heightmaps/{kept.json()['id']}"
+    other = folder / "other"
+    other.write_bytes(bytes(os.statvfs(folder).f_bavail * 4096 - 9_000_000))
+    _refused(http.post("/v1/heightmaps", content=large))  # there is room for it, but not for a second one
+    _refused(http.post("/v1/heightmaps", content=large))
+    with other.open("ab") as more:
+        more.write(bytes(os.statvfs(folder).f_bavail * 4096 - 200_000))
+    _refused(http.post("/v1/heightmaps", content=small))
+    _refused(http.post("/v1/runs", content=runs * 20))
+    wait_until(lambda: "the disk is full" in http.get("/readyz").text)
+    assert http.get("/healthz").status_code == 200
+    assert http.get(place).json() == kept.json()
+    assert [path.name for path in (folder / "heightmaps").iterdir()] == [f"{kept.json()['id']}.tif"]
+    assert list((folder / "runs").iterdir()) == []
+    assert [
+        path for path in (folder / "uploads").rglob("*") if path.is_file() and not path.suffix.endswith("lock")
+    ] == []
+    asked = {"heightmap_id": kept.json()["id"], "model": "physics", "headings": 8}
+    job = http.post("/v1/costmaps", json=asked)
+    if job.status_code == 202:  # the database may have found room for its row
+        wait_until(lambda: status(http, job.headers["location"]) in ("queued", "running"))
+    else:
+        _refused(job)
+    other.unlink()
+    job = http.post("/v1/costmaps", json=asked) if job.status_code != 202 else job
+    wait_until(lambda: status(http, job.headers["location"]) == "done")
+    wait_until(lambda: answers(http, "/readyz"))
+    again = read_heightmap((folder / "heightmaps" / f"{kept.json()['id']}.tif").read_bytes())
+    np.testing.assert_array_equal(again.heights, rough(300).heights)
 
 
 @needs_mounts
-def test_room_is_there_before_work_is_accepted_and_deleting_needs_none(tmp_path: Path) -> None:
+def test_room_is_there_before_work_is_accepted_and_deleting_needs_none(small_disk: tuple[httpx.Client, Path]) -> None:
     small = write_geotiff(None, rough(300))
-    with serving_on_small_disk(tmp_path) as (http, folder):
-        places = [http.post("/v1/heightmaps", content=small).headers["location"] for _ in range(2)]
-        asked = {"heightmap_id": places[0].rsplit("/", 1)[-1], "model": "physics", "headings": 8}
-        other = folder / "other"
-        other.write_bytes(bytes(_free(folder) - 7_000_000))
-        _refused(http.post("/v1/costmaps", json=asked))  # 300 x 300 x 8 prices of 8 bytes
-        assert http.get("/v1/costmaps").json()["total"] == 0
-        first = _begins(http, "/v1/heightmaps", 4_000_000, "Content-Type: application/octet-stream", bytes(1_000_000))
-        wait_until(lambda: _free(folder) < 6_500_000)
-        wait_until(lambda: _answer_to(http, 3_000_000) == 507)  # beside what is on its way: it is not sent at all
-        first.close()
-        wait_until(lambda: _answer_to(http, 3_000_000) is None)
-        form = _goes_on(
-            http, "/v1/runs", 3_000_000, "Content-Type: multipart/form-data; boundary=x", FORM + bytes(2_000_000)
-        )
-        wait_until(lambda: _free(folder) < 5_500_000)  # what a form brings lies in the data folder too
-        form.close()
-        wait_until(lambda: _free(folder) > 6_500_000)
-        with other.open("ab") as more:
-            while room := _free(folder):
-                more.write(bytes(min(room, 1 << 20)))
-        assert http.delete(places[0]).status_code == 204
-        assert http.get("/v1/heightmaps").json()["total"] == 1
-        other.unlink()
-        wait_until(lambda: (folder / "reserve").exists())  # for the next time
-        assert (
-            http.post("/v1/costmaps", json={**asked, "heightmap_id": places[1].rsplit("/", 1)[-1]}).status_code == 202
-        )
+    http, folder = small_disk
+    places = [http.post("/v1/heightmaps", content=small).headers["location"] for _ in range(2)]
+    heightmaps, costmaps = (http.get(f"/v1/{kind}").json()["total"] for kind in ("heightmaps", "costmaps"))
+    asked = {"heightmap_id": places[0].rsplit("/", 1)[-1], "model": "physics", "headings": 8}
+    other = folder / "other"
+    other.write_bytes(bytes(_free(folder) - 7_000_000))
+    _refused(http.post("/v1/costmaps", json=asked))  # 300 x 300 x 8 prices of 8 bytes
+    assert http.get("/v1/costmaps").json()["total"] == costmaps
+    first = _begins(http, "/v1/heightmaps", 4_000_000, "Content-Type: application/octet-stream", bytes(1_000_000))
+    wait_until(lambda: _free(folder) < 6_500_000)
+    wait_until(lambda: _answer_to(http, 3_000_000) == 507)  # beside what is on its way: it is not sent at all
+    first.close()
+    wait_until(lambda: _answer_to(http, 3_000_000) is None)
+    form = _goes_on(
+        http, "/v1/runs", 3_000_000, "Content-Type: multipart/form-data; boundary=x", FORM + bytes(2_000_000)
+    )
+    wait_until(lambda: _free(folder) < 5_500_000)  # what a form brings lies in the data folder too
+    form.close()
+    wait_until(lambda: _free(folder) > 6_500_000)
+    with other.open("ab") as more:
+        while room := _free(folder):
+            more.write(bytes(min(room, 1 << 20)))
+    assert http.delete(places[0]).status_code == 204
+    assert http.get("/v1/heightmaps").json()["total"] == heightmaps - 1
+    other.unlink()
+    wait_until(lambda: (folder / "reserve").exists())  # for the next time
+    assert http.post("/v1/costmaps", json={**asked, "heightmap_id": places[1].rsplit("/", 1)[-1]}).status_code == 202
 
 
 FORM = b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n'

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+import os
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from joulemap.service.cli import app
 from tests.service.test_restart import serving
 
 
-def joulemap(*words: object) -> subprocess.CompletedProcess[str]:
-    """A command in a process of its own, whose user lets everybody read."""
-    command = [sys.executable, "-m", "joulemap.service.cli", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, umask=0o022, check=True)
+def joulemap(*words: object, umask: int = 0o022) -> None:
+    """A command of a user who, by default, lets everybody read."""
+    before = os.umask(umask)
+    try:
+        done = CliRunner().invoke(app, [*map(str, words)])
+    finally:
+        os.umask(before)
+    assert done.exit_code == 0, done.output
 
 
 def open_to_others(folder: Path) -> list[str]:
@@ -53,9 +58,7 @@ def test_an_older_data_directory_is_closed_where_the_keys_are_and_the_rest_is_sa
 
 @pytest.mark.parametrize("umask", [0o022, 0o077])
 def test_files_that_a_user_names_keep_the_users_own_mode(tmp_path: Path, umask: int) -> None:
-    command = [sys.executable, "-m", "joulemap.service.cli", "keys", "list", "--data-dir", tmp_path / "data"]
-    before = {"capture_output": True, "text": True, "check": True}
-    subprocess.run([*command, "--json", tmp_path / "keys.json"], umask=umask, **before)
+    joulemap("keys", "list", "--data-dir", tmp_path / "data", "--json", tmp_path / "keys.json", umask=umask)
     assert json.loads((tmp_path / "keys.json").read_text()) == {"keys": []}
     assert (tmp_path / "keys.json").stat().st_mode & 0o777 == 0o666 & ~umask
     assert (tmp_path / "data").stat().st_mode & 0o777 == 0o700

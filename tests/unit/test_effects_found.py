@@ -50,7 +50,7 @@ def test_an_effect_is_named_first(name):
         assert found.effects[0].low[0] < 60.0 < found.effects[0].high[0]
 
 
-@pytest.mark.parametrize("runs", [1, 6])
+@pytest.mark.parametrize("runs", [1, pytest.param(6, marks=pytest.mark.slow)])
 def test_a_declared_idle_power_far_off_changes_nothing(runs):
     """400 W where 5 W are drawn are twenty times the energy of a metre. The stops show it, with what is left of braking
     in them."""
@@ -94,7 +94,7 @@ def test_low_ground_and_driving_backwards_have_names():
     assert not dragging.known_before  # plans drive forwards
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])
 def test_nothing_is_found_where_nothing_is(seed):
     rng = np.random.default_rng(100 + seed)
     rows = made_up(rng)

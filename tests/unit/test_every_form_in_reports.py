@@ -30,7 +30,7 @@ from joulemap.service.loop.effect_words import curve_points
 from joulemap.service.loop.measured import segments_document
 from joulemap.service.loop.summary import summary_lines
 from tests.reference.drives import ROBOT, made_up, measured_on, noisy
-from tests.unit.test_report import documented
+from tests.unit.test_report import documented, without_figures_of_runs
 
 NO_NUMBER = re.compile(r"\b(nan|inf|none)\b", re.IGNORECASE)
 ODD = "$_x^$ <b>"  # a formula to matplotlib, and an element to a browser
@@ -152,9 +152,7 @@ def drawn_once(monkeypatch):
         return DRAWN[key]
 
     monkeypatch.setattr(page, "curve_figure", curve)
-    monkeypatch.setattr(page, "error_figure", lambda *_: "<svg></svg>")
-    for name in ("prediction_figures", "residual_maps", "against_figures"):
-        monkeypatch.setattr(page, name, lambda *_: ["<svg></svg>"])
+    without_figures_of_runs(monkeypatch)
     monkeypatch.setattr(calibration, "fit_spread", lambda *_, **__: None)
 
 

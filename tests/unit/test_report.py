@@ -17,6 +17,7 @@ from joulemap.model.loop.terms import Term
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop import calibration
+from joulemap.service.loop import report_page as page
 from joulemap.service.loop.calibration import Calibrated, campaigns_of
 from joulemap.service.loop.effect_words import base_name, base_words, confounded_words, found_words
 from joulemap.service.loop.next_drive import NextDrive, next_drive
@@ -60,6 +61,18 @@ def documented(found):
         "warnings": [],
     }
     return Calibrated(with_former_keys(document), found, None, LEVEL)
+
+
+def without_figures_of_runs(patch):
+    patch.setattr(page, "error_figure", lambda *_: "<svg></svg>")
+    for name in ("prediction_figures", "residual_maps", "against_figures"):
+        patch.setattr(page, name, lambda *_: ["<svg></svg>"])
+
+
+@pytest.fixture(autouse=True)
+def no_figures(monkeypatch):
+    """They are drawn in `test_every_form_in_reports.py`."""
+    without_figures_of_runs(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -244,10 +257,10 @@ def test_errors_of_the_fit_are_said_to_be_that(nothing):
     said = error_words(nothing.document)
     assert said[0].startswith("Errors on the runs that the model was fitted to: before")
     assert said[1].startswith("WARNING: these are errors of the fit")
-    page = report_page(nothing)
-    assert '<p class="warning">WARNING: these are errors of the fit' in page
-    assert "after, fitted to these runs" in page
-    assert "left out of the calibration" not in shown(page)
+    html = report_page(nothing)
+    assert '<p class="warning">WARNING: these are errors of the fit' in html
+    assert "after, fitted to these runs" in html
+    assert "left out of the calibration" not in shown(html)
 
 
 def test_what_was_left_out_is_said(turning):
