@@ -15,7 +15,7 @@ from tests.service.test_bad_input import check_problem
 from tests.service.test_cli import joulemap
 
 CAR = Robot(mass_kg=400.0, speed_mps=8.0, idle_power_w=60.0, rolling_resistance=0.02, regeneration=0.5)
-VOLTS, HEATING, RUNS = 48.0, 1.1, 6
+VOLTS, HEATING, RUNS = 48.0, 1.1, 8
 
 
 def log(number, *, heater="heater power [kW]", height=True, speed="speed [km/h]"):
@@ -43,7 +43,7 @@ def drives(tmp_path_factory):
     folder = tmp_path_factory.mktemp("drives")
     (folder / "runs").mkdir()
     for number in range(RUNS):
-        (folder / "runs" / f"drive_{number}.csv").write_text(log(number))
+        (folder / "runs" / f"day{number // 2}_{number}.csv").write_text(log(number))
     (folder / "car.toml").write_text("".join(f"{k} = {json.dumps(v)}\n" for k, v in CAR.as_dict().items()))
     return folder
 
@@ -62,7 +62,7 @@ def service(tmp_path_factory):
 @pytest.fixture(scope="module")
 def found(drives, tmp_path_factory):
     out = tmp_path_factory.mktemp("found")
-    code, said, wrong = calibrate(drives, out, "--quick")
+    code, said, wrong = calibrate(drives, out, "--campaigns")
     assert code == 0, wrong
     return json.loads((out / "report.json").read_text()), " ".join(said.split()), out
 

@@ -51,7 +51,7 @@ import os, sys
 from pathlib import Path
 from joulemap.model.terrain.writers import write_geotiff
 from tests.service.test_full_disk import rough
-folder, heightmap = Path(sys.argv[1]), rough(700)
+folder, heightmap = Path(sys.argv[1]), rough(400)
 size = len(write_geotiff(None, heightmap, quick=True))
 for room in [size + 2_000_000, *range(size + 8192, size - 40_000, -4096), size // 2, 4096]:
     (folder / "other").write_bytes(bytes(os.statvfs(folder).f_bavail * 4096 - room))

@@ -129,6 +129,7 @@ def test_a_damaged_state_of_a_training_is_named(tmp_path):
         train(files, tmp_path / "model", resume=True)
 
 
+@pytest.mark.slow
 def test_a_resnet_goes_on_with_the_patches_it_was_trained_on(tmp_path):
     files = [drive(tmp_path, f"{k}.csv", y=2.0 + 2.0 * k) for k in range(2)]
     first = {"architecture": "resnet18", "patch_size": 32, "epochs": 1}

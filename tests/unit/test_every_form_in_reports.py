@@ -153,6 +153,7 @@ def drawn_once(monkeypatch):
 
     monkeypatch.setattr(page, "curve_figure", curve)
     without_figures_of_runs(monkeypatch)
+    monkeypatch.setattr(page, "error_figure", lambda *_: "<svg></svg>")
     monkeypatch.setattr(calibration, "fit_spread", lambda *_, **__: None)
 
 

@@ -64,7 +64,6 @@ def documented(found):
 
 
 def without_figures_of_runs(patch):
-    patch.setattr(page, "error_figure", lambda *_: "<svg></svg>")
     for name in ("prediction_figures", "residual_maps", "against_figures"):
         patch.setattr(page, name, lambda *_: ["<svg></svg>"])
 
