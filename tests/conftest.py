@@ -12,19 +12,24 @@ import pytest
 os.environ.setdefault("JOULEMAP_ALLOWED_HOSTS", "testserver")  # how Starlette's TestClient calls a service
 
 LONGEST = (
-    "docs/test_code_blocks.py",
-    "loop/test_nulls.py",
-    "service/test_contract.py",
-    "service/test_restart.py",
-    "service/test_object_store.py",
-    "service/test_calibrations.py",
-    "service/test_access.py",
-    "service/test_data_directory.py",
-    "service/test_workers.py",
-    "service/test_scheduled_commands.py",
     "browser/test_page.py",
+    "service/test_calibrate.py",
+    "service/test_restart.py",
+    "browser/test_flows.py",
+    "service/test_calibrate_without_map.py",
+    "docs/test_code_blocks.py",
     "browser/test_question_before.py",
-    "property/test_tiled_search.py",
+    "service/test_contract.py",
+    "service/test_hostile_files.py",
+    "service/test_access_at_once.py",
+    "service/test_data_directory.py",
+    "service/test_calibrate_sites.py",
+    "service/test_calibrations.py",
+    "service/test_found_in_runs.py",
+    "service/test_document.py",
+    "service/test_demo.py",
+    "published/test_real_hillside.py",
+    "unit/test_wild_logs.py",
 )
 """Files that take long, the longest first: what begins last is waited for by processes that have nothing to do."""
 

@@ -46,6 +46,7 @@ def test_the_example_fits_on_a_screen_or_two() -> None:
     assert first.text.count("\n") < 80
 
 
+@pytest.mark.slow
 def test_untrained_it_is_equation_5_and_trained_it_knows_better(
     page: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:

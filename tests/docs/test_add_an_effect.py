@@ -41,6 +41,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[
         yield folder, machine.names
 
 
+@pytest.mark.slow
 def test_the_page_names_the_lines_of_the_registry(page: tuple[Path, dict[str, Any]]) -> None:
     lines = block_with("NAMED").text
     assert "from joulemap.model.loop.forms.snow import Snow\n" in lines
@@ -50,6 +51,7 @@ def test_the_page_names_the_lines_of_the_registry(page: tuple[Path, dict[str, An
     assert "NAMED: tuple[type[Form], ...] = (\n" in registry
 
 
+@pytest.mark.slow
 def test_the_line_of_the_test_holds(page: tuple[Path, dict[str, Any]]) -> None:
     known = {"Snow": page[1]["Snow"], "even": even, "np": np, "W": WEIGHT_N}
     assert pytest.approx(ROBOT.weight_n) == WEIGHT_N
@@ -58,12 +60,14 @@ def test_the_line_of_the_test_holds(page: tuple[Path, dict[str, Any]]) -> None:
     assert form_from_dict(json.loads(json.dumps(form.as_dict()))) == form
 
 
+@pytest.mark.slow
 def test_without_its_column_it_is_no_candidate(page: tuple[Path, dict[str, Any]]) -> None:
     snow = page[1]["Snow"]
     assert list(snow.variants(even())) == []
     assert list(snow.variants(even(columns={"snow_depth": np.array([0.1])}))) == [snow()]
 
 
+@pytest.mark.slow
 def test_it_is_found_first_with_the_hidden_coefficient_in_its_interval(page: tuple[Path, dict[str, Any]]) -> None:
     first = page[1]["found"].effects[0]
     assert first["name"] == "snow"
@@ -71,6 +75,7 @@ def test_it_is_found_first_with_the_hidden_coefficient_in_its_interval(page: tup
     assert low < 0.8 < high
 
 
+@pytest.mark.slow
 def test_the_calibrated_model_has_it(page: tuple[Path, dict[str, Any]]) -> None:
     model = load_model(page[0] / "found" / "model")
     assert "snow" in [term["name"] for term in model.provenance()["effects"]]

@@ -139,7 +139,8 @@ def test_the_sdist_holds_files_and_no_links(built: Path) -> None:
     assert not [name for name, member in members.items() if member.issym()]
 
 
-@pytest.mark.parametrize("interpreted", ["1", pytest.param("0", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("interpreted", ["1", "0"])
 def test_a_users_own_modules_change_nothing(site: Path, hostile: Path, interpreted: str) -> None:
     """To compile all kernels anew takes 40 s, and proves nothing of the wheel."""
     assert str(site) in run(site, hostile, "-c", TOUR, NUMBA_DISABLE_JIT=interpreted)

@@ -25,7 +25,7 @@ def other_ground(rng, lattice):
     return replace(lattice, traction_per_m=traction, blocked=blocked)
 
 
-@settings(max_examples=120, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 10**6),
     turn=st.sampled_from([0.0, 0.0, 40.0]),

@@ -29,7 +29,7 @@ def walled(lattice, rng):
     return lattice
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 10**6),
     neighbours=st.sampled_from([8, 16, 32]),

@@ -250,6 +250,7 @@ def wheels(tmp_path_factory):
     return options, done.output, folder / "out"
 
 
+@pytest.mark.slow
 def test_turning_that_costs_on_one_side_only_is_in_plans(field, tmp_path):
     """Each radian to the right takes 300 J. A plan, which knows no side, pays for a turn to either side."""
     for file in field.glob("run_*.csv"):

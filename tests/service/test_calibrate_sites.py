@@ -151,10 +151,6 @@ def test_baseline_runs_of_a_campaign_file_lie_on_a_map_of_their_own(field, tmp_p
     assert [site["baseline_runs"] for site in report["sites"]] == [["before1.csv"], [], ["before2.csv"]]
     assert "--robot ROBOT" in said
     assert str(field / "b.tif") in said
-    words = ["--heightmap", field / "a.tif", "--runs", field / "a", field / "b", "--baseline-runs", field / "before"]
-    calibrate(field, tmp_path / "one", *words)
-    alone = report_of(tmp_path / "one")
-    assert {key: report[key] for key in FITTED} == {key: alone[key] for key in FITTED}
     with pytest.raises(InputError, match=r"the site a\.tif has no `runs` to learn from"):
         jm.evaluate(campaign=file)
 

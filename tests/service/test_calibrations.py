@@ -198,6 +198,7 @@ def test_the_report_keeps_the_checksums_of_its_model(service: TestClient, calibr
     assert kept == sums_of(inner.settings.resolved_models_dir / calibration["id"]) != {}
 
 
+@pytest.mark.slow
 def test_wheel_speeds_stand_in_for_positions(service: TestClient, ground_id: str, runs_id: str) -> None:
     logs = [("file", (name, log.encode())) for name, log in wheel_logs(4).items()]
     files, more = logs[:2], logs[2:]

@@ -21,10 +21,10 @@ from joulemap.service.http.routes.page import plotly_version
 from tests.service.clusters import ROOT, free_port
 from tests.service.test_restart import SERVE, answers, wait_until
 
-pytestmark = pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is not installed")
+pytestmark = [pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is not installed"), pytest.mark.slow]
 
 _CLIENTS = 40
-_PATIENCE_S = 3
+_PATIENCE_S = 5
 
 
 class Ports:

@@ -36,7 +36,8 @@ app(["serve", "--port", sys.argv[1], "--data-dir", sys.argv[2]])
 """The service, which reads its map of the warm-up for longer."""
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_no_damaged_map_is_said(tmp_path: Path, how: signal.Signals) -> None:
     log = tmp_path / "log"
     command = [sys.executable, "-c", SERVE, str(free_port()), str(tmp_path / "data")]
