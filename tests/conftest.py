@@ -21,15 +21,6 @@ LONGEST = (
     "browser/test_question_before.py",
     "service/test_contract.py",
     "service/test_hostile_files.py",
-    "service/test_access_at_once.py",
-    "service/test_data_directory.py",
-    "service/test_calibrate_sites.py",
-    "service/test_calibrations.py",
-    "service/test_found_in_runs.py",
-    "service/test_document.py",
-    "service/test_demo.py",
-    "published/test_real_hillside.py",
-    "unit/test_wild_logs.py",
 )
 """Files that take long, the longest first: what begins last is waited for by processes that have nothing to do."""
 

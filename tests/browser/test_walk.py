@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 
 import joulemap as jm
-from joulemap.model.errors import InputError, NoRouteError
+from joulemap.model.errors import InputError
 from joulemap.model.terrain.writers import write_geotiff
 from tests.browser.chromium import opened
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, hill
@@ -91,47 +90,3 @@ def test_every_face_gives_the_same_answers(browser: Any, address: str, tmp_path:
         with tab.page.expect_download() as waiting:  # the route that is shown, without planning it again
             tab.page.click("#step-save button:has-text('GPX')")
         assert b"<gpx" in Path(waiting.value.path()).read_bytes()
-
-
-def test_what_closes_the_way_is_named_on_every_face(browser: Any, address: str, tmp_path: Path) -> None:
-    dem, folder = tmp_path / "dem.tif", tmp_path / "map.zarr"
-    heights = np.zeros((30, 40), dtype=np.float32)
-    heights[8:21, 22:35] = 3.0
-    heights[10:19, 24:33] = 0.0  # a court without a gate
-    walled = replace(hill(), heights=heights)
-    write_geotiff(dem, walled)
-    court = [START[0] + 25.0, START[1] + 1.0]
-    inside = ",".join(map(str, court))
-    assert joulemap("costmap", dem, "--model", "physics", "--out", folder)[0] == 0
-    asked = "--start", ENDS[0], "--goal", inside
-    for question in (("path", folder), ("field", folder, "--out", tmp_path / "field.tif")):
-        code, _, errors = joulemap(*question, *asked)
-        assert (code, "step" in errors) == (4, True), errors
-    assert not (tmp_path / "field.tif").exists()
-    code, words, errors = joulemap("path", folder, *asked, "--snap", "--json", "-")
-    assert code == 0, errors
-    assert "cannot be reached and was moved to the nearest place that can" in errors
-    moved_m = json.loads(words)["goal_moved_m"]
-    assert 4.0 < moved_m < 9.0
-    ground = jm.open_costmap(folder)
-    assert ground.plan(START, court, snap=True).route.goal_moved_m == pytest.approx(moved_m)
-    with pytest.raises(NoRouteError, match="step") as refused:
-        ground.plan(START, court)
-    with httpx.Client(base_url=address, timeout=300.0) as http:
-        sent = http.post("/v1/heightmaps", files={"file": ("court.tif", dem.read_bytes())}).json()["id"]
-        body = {"heightmap_id": sent, "model": "physics"}
-        costmap = http.post("/v1/costmaps", json=body, headers={"Prefer": "wait=300"}).json()["id"]
-        answer = http.post(f"/v1/costmaps/{costmap}/paths", json={"start": START, "goal": court})
-    assert (answer.status_code, answer.json()["detail"]) == (422, refused.value.message)
-    with opened(browser, address, hash=f"#map={costmap}&from={ENDS[0]}&to={inside}") as tab:
-        tab.page.wait_for_selector("#answer .error")
-        assert "step" in tab.text("#answer .error")
-
-
-def test_a_drive_is_suggested_from_the_runs_alone(tmp_path: Path) -> None:
-    assert joulemap("simulate", "--out", tmp_path / "site", "--runs", "2", "--seed", "3")[0] == 0
-    site = tmp_path / "site"
-    drives = "--heightmap", site / "dem.tif", "--robot", site / "robot.toml", "--runs", site, "--model", "physics"
-    code, words, errors = joulemap("suggest-drive", *drives, "--length", "60", "--json", "-")
-    assert code == 0, errors
-    assert json.loads(words)["length_m"] <= 75.0

@@ -128,6 +128,7 @@ def test_python_and_http_find_the_same(drives, found, service, tmp_path):
     done = service.post("/v1/calibrations", json=asked, headers={"Prefer": "wait=200"})
     assert done.status_code == 201, done.text
     answer = done.json()["report"]
+    assert (done.json()["heightmap_id"], "heightmap" in done.json()["links"]) == (None, False)
     assert [effect["name"] for effect in answer["effects"]] == [effect["name"] for effect in report["effects"]]
     wrong = service.post("/v1/calibrations", json=asked | {"heightmap_id": "hm-none"})
     check_problem(wrong, 404, "not_found", "hm-none")

@@ -115,6 +115,7 @@ BROKEN = {
     "text that is no UTF-8": "stats = cast(x'7b22ff' as text)",
     "no time": "created_at = 'yesterday'",
     "another kind": "stats = '[1]'",
+    "no finite number": """stats = replace(stats, '"height_max_m":', '"height_max_m": 1e999, "other":')""",
 }
 
 

@@ -233,13 +233,3 @@ def test_an_error_of_ours_fails_the_job_after_some_tries(tmp_path: Path, hill_ti
         assert problem["status"] == 503  # its content is not what was kept
         assert problem["request_id"] == place.rsplit("/", 1)[-1]
         wait_until(lambda: not list((tmp_path / "costmaps").iterdir()))
-
-
-@pytest.mark.slow
-def test_two_services_share_a_database_and_a_folder(tmp_path: Path, hill_tif: bytes) -> None:
-    """One takes the questions, the other has the workers."""
-    with serving(tmp_path, JOULEMAP_WORKERS="0") as (_, front), serving(tmp_path) as (_, back):
-        place = ask(front, hill_tif)
-        wait_until(lambda: status(front, place) == "done")
-        assert back.get(place).json() == front.get(place).json()
-        assert front.post(f"{place}/paths", json={"start": START, "goal": GOAL}).status_code == 200
