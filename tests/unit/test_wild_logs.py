@@ -228,6 +228,12 @@ BESIDE = {
 }
 
 
+def test_a_json_text_that_breaks_off_says_so():
+    rows = [{"t": 0.1 * k, "x": 0.05 * k, "y": 0.0, "power": 20.0} for k in range(50)]
+    with pytest.raises(RunsError, match="it breaks off after"):
+        parse_run(json.dumps(rows)[:-30], name="r")
+
+
 @pytest.mark.parametrize("kind", BESIDE)
 def test_units_beside_the_data_of_a_json_text_are_used(kind):
     as_it_was(parse_run(json.dumps(BESIDE[kind]), name="r.json"))

@@ -40,7 +40,9 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             return Log((stream_of(table, name, limits, dict(_units(json.loads(lines[0][lines[0].find(b"{") :])))),))
         return log_of(json.loads(content), "JSON", name, limits)
     except (ValueError, RecursionError) as error:
-        raise RunsError.of_run(name, f"not a readable JSON text: {str(error)[:200]}") from error
+        whole = content.rstrip()[-1:] in (b"}", b"]")
+        why = str(error)[:200] if whole else f"it breaks off after {content.rstrip()[-20:].decode(errors='replace')!r}"
+        raise RunsError.of_run(name, f"not a readable JSON text: {why}") from error
 
 
 def columns_of(records: Iterable[Mapping[str, Any]], name: str, limits: TableLimits) -> Any:
