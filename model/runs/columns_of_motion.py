@@ -43,14 +43,15 @@ def take_degrees(
 
 
 def check_latitude(stream: Stream, chosen: Mapping[str, Source], name: str) -> None:
-    """Refuse latitudes that do not exist beside longitudes that may be such: they are the wrong way round."""
+    """Refuse latitudes above 90 degrees that could only be degrees and minutes, beside longitudes that are none."""
     pair = [chosen[key] for key in ("lat", "lon") if key in chosen and chosen[key].unit in ("", "deg")]
     columns = [source.columns[0] for source in pair if len(source.parts) == 1 and source.columns[0] in stream.numbers]
     if len(columns) < 2:
         return
     lat, lon = (known_values(stream.numbers[column]) for column in columns)
     largest = float(np.median(np.abs(lat))) if lat.size else 0.0
-    if 90.0 < largest <= 180.0 and float(np.abs(lon).max(initial=0.0)) <= 90.0:
+    of_minutes = agreement.degrees_unit("lat", lat, columns[0]) == "ddmm"
+    if of_minutes and largest <= 180.0 and float(np.abs(lon).max(initial=0.0)) <= 90.0:
         first, second = (column[:60] for column in columns)
         raise RunsError.of_run(
             name,
@@ -291,7 +292,7 @@ def take_distance(numbers: dict[str, FloatArray], reading: dict[str, str], found
         if made is None and not counts:
             raise no_counter(name, "distance", found.chosen["distance"].columns[0], "m")
         whole = float(np.nanmax(counted, initial=0.0))
-        if made is None and resolution > _COARSE * whole > 0.0:
+        if made is None and resolution > max(1.0, _COARSE * whole) and whole > 0.0:
             raise RunsError.of_run(
                 name,
                 f"{found.chosen['distance'].columns[0][:60]} counts {whole:,.0f} m in steps of {resolution:,.0f} m, "

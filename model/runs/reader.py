@@ -207,7 +207,9 @@ def run_of(
     if placed:
         x, y = positions(numbers, name=name, crs=crs)
         if (apart_m := _alternate(x, y)) > 0.0:
-            notes.append(f"its positions alternate between places {apart_m:,.0f} m apart: is it one vehicle?")
+            notes.append(
+                f"its positions alternate between places that lie {apart_m:,.0f} m from each other: is it one vehicle?"
+            )
         x, y, breaks = usable_fixes(t, x, y, numbers.get("gps_error"), repairs)
         elsewhere += repairs.get("position_jumps", 0)
         if elsewhere > _MANY_ELSEWHERE * t.size:
