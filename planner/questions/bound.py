@@ -223,7 +223,7 @@ def _cones(least: FloatArray) -> FloatArray:
                     if own > 1e-6:
                         most = np.fmin(most, (least[..., per * (first % 8) + s] - rest * w[..., other % 8]) / own)
             w[..., j] = np.maximum(w[..., j], most)
-        return w - np.abs(w) * _STEP**2 / 4.0  # between the ends of an interval A + B is a little more
+        return np.where(np.isinf(w), w, w - np.abs(w) * _STEP**2 / 4.0)  # within an interval A + B is a little more
 
 
 def quick_bound(lattice: CostLattice, start: Points, goal: Points) -> float:

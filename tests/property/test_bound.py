@@ -64,6 +64,15 @@ def test_a_wall_of_one_cell_holds_the_bound_off():
     assert energy_bound(lattice, bound_table(lattice), start, goal) >= 0.9 * around
 
 
+def test_the_bound_goes_through_a_passage_of_one_cell():
+    """No square between cell centres lies in it: routes go along the sides of squares alone."""
+    wall = ["......#####......"] * 3
+    lattice, at = ascii_lattice("\n".join([*wall, "a...............b", *wall]))
+    ends = np.array([lattice.frame.rowcol(*at[name]) for name in "ab"])
+    straight = path_price(lattice, ends)
+    assert 0.85 * straight <= energy_bound(lattice, bound_table(lattice), *ends) <= straight
+
+
 def test_a_limit_of_the_cross_slope_closes_headings_across_the_slope_and_no_others():
     """Uphill is 22 degrees north of east: to the north-east the ground tilts a robot little, to the south-east much."""
     along, across = np.array([[10.0, 2.0], [2.0, 10.0]]), np.array([[2.0, 2.0], [10.0, 10.0]])
