@@ -19,7 +19,7 @@ LEAST_J_PER_M = 0.1
 
 _SELDOM_S = 1.0  # between fixes: a vehicle turns at a crossing in some seconds
 
-_USUAL_J_PER_M = 1.0  # 5 kg on a floor take 5 kg * 9.8 m/s2 * 0.02
+_MODEL_CAR_J_PER_M = 1.0  # 5 kg on a floor take 5 kg * 9.8 m/s2 * 0.02
 _LEAST_READINGS = 10
 _FROZEN_S, _FROZEN = 30.0, 30.0  # and so many times as long as nine of ten readings stay
 
@@ -101,7 +101,7 @@ def of_meter(run: Run, segments: Segments | None) -> list[str]:
     found = list[str]()
     if segments is None or not len(segments):
         return found
-    if run.has_energy and 0 < (took := float(segments.energy_j.sum() / segments.driven_m.sum())) < _USUAL_J_PER_M:
+    if run.has_energy and 0 < (took := float(segments.energy_j.sum() / segments.driven_m.sum())) < _MODEL_CAR_J_PER_M:
         found.append(f"a metre took {took:.2g} J, less than a model car takes: is its power in the unit that it says?")
     drawn = run.drawn(charge=not run.has_energy)
     rows = np.flatnonzero(np.isfinite(drawn))

@@ -206,9 +206,9 @@ def run_of(
     placed = "distance" not in numbers or bool({"x", "lat"} & numbers.keys())
     if placed:
         x, y = positions(numbers, name=name, crs=crs)
-        if (apart_m := _alternate(x, y)) > 0.0:
+        if (away_m := _alternate(x, y)) > 0.0:
             notes.append(
-                f"its positions alternate between places that lie {apart_m:,.0f} m from each other: is it one vehicle?"
+                f"its positions alternate between places that lie {away_m:,.0f} m from each other: is it one vehicle?"
             )
         x, y, breaks = usable_fixes(t, x, y, numbers.get("gps_error"), repairs)
         elsewhere += repairs.get("position_jumps", 0)

@@ -31,7 +31,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
 def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
@@ -41,7 +40,6 @@ def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
         assert not [url for url in loaded if re.match(r"(https?:)?//", url)], page
 
 
-@pytest.mark.slow
 def test_every_command_and_option_is_on_the_page_of_the_command_line(site: Path) -> None:
     from joulemap.service.cli import app
 
@@ -55,7 +53,6 @@ def test_every_command_and_option_is_on_the_page_of_the_command_line(site: Path)
     )
 
 
-@pytest.mark.slow
 def test_every_endpoint_and_field_is_on_the_page_of_http(site: Path) -> None:
     from joulemap.service.http.app import openapi_document
 
@@ -68,13 +65,11 @@ def test_every_endpoint_and_field_is_on_the_page_of_http(site: Path) -> None:
         assert all(f"<code>{key}</code>" in text for key in schema.get("properties", ())), name
 
 
-@pytest.mark.slow
 def test_every_public_name_is_on_the_page_of_python(site: Path) -> None:
     text = (site / "reference/python.html").read_text(encoding="utf-8")
     assert not [name for name in joulemap.__all__ if f'id="joulemap.{name}"' not in text]
 
 
-@pytest.mark.slow
 def test_every_setting_is_on_the_page_of_settings(site: Path) -> None:
     text = (site / "reference/settings.html").read_text(encoding="utf-8")
     assert not [name for name in Settings.model_fields if f"JOULEMAP_{name.upper()}" not in text]

@@ -220,7 +220,6 @@ def _no_room(*_: object) -> None:
     raise StorageFullError("no room")
 
 
-@pytest.mark.slow
 def test_nothing_acknowledged_is_lost_by_kill_9(tmp_path: Path, hill_tif: bytes) -> None:
     with serving(tmp_path, place="/readyz") as (_, web):
         ground = web.post("/v1/heightmaps", content=hill_tif).json()

@@ -21,7 +21,7 @@ from joulemap.service.http.routes.page import plotly_version
 from tests.service.clusters import ROOT, free_port
 from tests.service.test_restart import SERVE, answers, wait_until
 
-pytestmark = [pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is not installed"), pytest.mark.slow]
+pytestmark = pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is not installed")
 
 _CLIENTS = 40
 _PATIENCE_S = 5

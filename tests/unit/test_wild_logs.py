@@ -117,10 +117,10 @@ def test_a_state_of_charge_gives_the_energy_of_a_drive_once_the_capacity_is_told
         run.drawn()
 
 
-@pytest.mark.parametrize("apart", [0.1, 0.001, 0.0])
-def test_powers_of_batteries_in_parallel_add(apart):
-    two = {"bat1_voltage": VOLTS, "bat1_current": 0.6 * AMPS, "bat2_voltage": VOLTS - apart}
-    as_it_was(read(without("voltage", "current", **two, bat2_current=0.4 * AMPS * VOLTS / (VOLTS - apart))))
+@pytest.mark.parametrize("difference", [0.1, 0.001, 0.0])
+def test_powers_of_batteries_in_parallel_add(difference):
+    two = {"bat1_voltage": VOLTS, "bat1_current": 0.6 * AMPS, "bat2_voltage": VOLTS - difference}
+    as_it_was(read(without("voltage", "current", **two, bat2_current=0.4 * AMPS * VOLTS / (VOLTS - difference))))
 
 
 def test_units_that_no_name_says_are_found_by_agreement():

@@ -40,13 +40,13 @@ def records(lines: Sequence[str]) -> list[dict[str, float | str]]:
             names[field].add(name)
             for tag, value in tags.items():
                 said[field, tag].add(value)
-    apart = {key for key, texts in said.items() if len(texts) > 1 and _divides(points, *key)}
+    dividing = {key for key, texts in said.items() if len(texts) > 1 and _divides(points, *key)}
     found = dict[str, dict[str, float | str]]()
     for name, tags, fields, stamp in points:
         record = found.setdefault(stamp, {"time": stamp})
         for field, number in fields.items():
             words = [name] if len(names[field]) > 1 or field == "value" else []
-            words += [text for tag, text in tags.items() if (field, tag) in apart]
+            words += [text for tag, text in tags.items() if (field, tag) in dividing]
             record[".".join([*words, *([] if field == "value" else [field])])] = number
     return list(found.values())
 
