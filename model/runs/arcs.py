@@ -39,6 +39,7 @@ _MEASURED_SHARE = 0.5  # at least so much of a segment is measured: missing rows
 _ROWS_BRIDGED = 2.5  # intervals between stamps: one missing row makes two, and stamps jitter
 _RIM_M = 0.5  # half the width of a robot of 1 m: turning moves its side so far per radian
 _WHEEL_RADIUS_M = 0.2  # of a wheel whose rate is logged in rad/s, to tell rolling from standing only
+_OF_NOISE = -0.4  # between -1/2 and -1/4, see `_cuts_corners`
 _NOISES = 4.0  # a stationary position wanders by up to so many standard deviations, as in 99.99 % of a normal one
 _HEADINGS = ("heading", "yaw")  # [deg]
 _WHEELS = {key: _WHEEL_RADIUS_M if key in TURNING else 1.0 for pair in WHEELS for key in pair}
@@ -110,7 +111,7 @@ def arc_track(run: Run, length_m: float) -> ArcTrack:
     smooth_x, smooth_y, vx, vy = smooth(t, x, y, piece, smoothing_s)
     speed = np.hypot(vx, vy)
     noise = position_noise(run.x[fixes], run.y[fixes], moved)
-    if interval <= SMOOTHING_S or not _cuts_corners(run.x[fixes], run.y[fixes], moved):
+    if interval <= SMOOTHING_S or not _cuts_corners(run.x[fixes], run.y[fixes], between):
         x, y = smooth_x, smooth_y
     within = max(STILL_M, _NOISES * noise)
     # with fixes seconds apart, what a vehicle accelerates is in the noise too, and the speed is that over more time
@@ -240,33 +241,35 @@ def _gaps(run: Run, fixes: NDArray[np.int64], length_m: float) -> tuple[BoolArra
     return between, float(distance[between & ~broke].sum())
 
 
-def position_noise(x: FloatArray, y: FloatArray, moved: BoolArray, *, order: int = 2) -> float:
-    """Return the noise of single fixes, from how three in a row leave a straight line, or `order` + 1 a parabola.
+def position_noise(x: FloatArray, y: FloatArray, moved: BoolArray) -> float:
+    """Return the noise of single fixes, from how three in a row leave a straight line.
 
     `x`, `y` (k,): fixes [m]; `moved` (k - 1,): whether each differs from the one before. Result: standard deviation
     [m].
     """
     fresh = np.concatenate([[True], moved])
-    if fresh.sum() < 2 + order:
+    if fresh.sum() < 4:
         return 0.0
-    bends = np.concatenate([np.diff(values[fresh], order) for values in (x, y)])
-    return 1.4826 * float(np.median(np.abs(bends))) / math.sqrt(math.comb(2 * order, order))
+    bends = np.concatenate([np.diff(values[fresh], 2) for values in (x, y)])
+    return 1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0)
 
 
-def _cuts_corners(x: FloatArray, y: FloatArray, moved: BoolArray) -> bool:
+def _cuts_corners(x: FloatArray, y: FloatArray, between: BoolArray) -> bool:
     """Whether smoothing over one interval shortens the way between fixes by more than their noise lengthens it.
 
-    On a circle a Gaussian over the time in which the robot turns by theta leaves exp(-theta^2 / 2) of the radius; noise
-    makes a step d longer by noise^2 / d, and its direction differ by 6 noise^2 / d^2 (mean square) from the next.
+    Noise n of fixes makes steps d longer by n^2 / d, and smoothing leaves exp(-theta^2 / 2) of the radius of a curve
+    that turns by theta in a step. Bends to the side, d theta, have a correlation of -2/3 with the next one where they
+    are noise, and of 0 to 1 in curves. Where n^2 / d is d theta^2 / 2 it is -1/2 for turns of one step, and -1/4 for
+    longer ones.
+
+    `x`, `y` (k,): fixes [m]; `between` (k - 1,): where the track breaks before the next.
     """
-    noise_m = position_noise(x, y, moved, order=3)  # of fixes in an even curve too
     step_x, step_y = np.diff(x), np.diff(y)
-    step = np.hypot(step_x, step_y)
-    clear = step > 2.0 * noise_m
-    step, turn = step[clear], np.diff(np.unwrap(np.arctan2(step_y[clear], step_x[clear])))
-    grown = noise_m**2 / step
-    cut = 0.5 * (step[1:] * turn**2 - 6.0 * grown[1:])
-    return bool(cut.sum() > grown.sum())
+    whole = ~between & ((step_x != 0) | (step_y != 0))
+    chord = np.hypot(step_x[1:] + step_x[:-1], step_y[1:] + step_y[:-1])
+    turned = step_x[:-1] * step_y[1:] - step_y[:-1] * step_x[1:]
+    bend = np.where(whole[1:] & whole[:-1] & (chord > 0), 2.0 * turned / np.where(chord > 0, chord, 1.0), 0.0)
+    return bool(bend.any() and (bend[1:] * bend[:-1]).sum() > _OF_NOISE * (bend**2).sum())
 
 
 def _rims(run: Run, rows: NDArray[np.int64], piece: NDArray[np.int64]) -> list[FloatArray]:

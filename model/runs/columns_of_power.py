@@ -117,9 +117,9 @@ def flows(numbers: Mapping[str, FloatArray]) -> bool:
     )
 
 
-def take_share(numbers: dict[str, FloatArray], words: dict[str, str]) -> None:
-    """A state of charge from 0 to 1, as sensor_msgs/BatteryState has it, in per cent."""
-    if "soc" in numbers and 0.0 < float(np.nanmax(numbers["soc"], initial=0.0)) <= 1.0:
+def take_share(numbers: dict[str, FloatArray], words: dict[str, str], chosen: Mapping[str, Source]) -> None:
+    """A state of charge from 0 to 1 that says no unit, as sensor_msgs/BatteryState has it, in per cent."""
+    if "soc" in numbers and not chosen["soc"].unit and 0.0 < float(np.nanmax(numbers["soc"], initial=0.0)) <= 1.0:
         numbers["soc"], words["soc"] = 100.0 * numbers["soc"], "0 to 1"
 
 

@@ -24,6 +24,7 @@ _VALUES = ("value", "state", "reading", "val", "data")
 _UNITS = ("unit", "units")
 _LETTERS = re.compile(r"[^\W\d]")
 _MOST_NAMES = 500
+_FIRST = 1000  # cells that tell what a column holds
 
 
 def rearranged(stream: Stream, name: str, limits: TableLimits) -> Stream:
@@ -34,8 +35,8 @@ def rearranged(stream: Stream, name: str, limits: TableLimits) -> Stream:
 def _opened(stream: Stream, name: str, limits: TableLimits) -> Stream:
     """Objects in the cells of a column, as services of logs export them, as columns: `message.battery.voltage`."""
     for column, cells in stream.texts.items():
-        known = cells[cells != ""]
-        if known.size and 2 * np.sum(np.char.startswith(known, "{")) > known.size:
+        first = cells[cells != ""][:_FIRST]
+        if first.size and 2 * np.sum(np.char.startswith(first, "{")) > first.size:
             table = columns_of((_object(cell, column) for cell in cells.tolist()), name, limits)
             limits.check(table.num_rows, table.num_columns + len(stream.numbers) + len(stream.texts), name)
             inside = stream_of(table, name, limits)

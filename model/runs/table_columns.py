@@ -74,7 +74,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
                 texts[target] = only
             else:
                 numbers[target], words[target] = read_column(target, source, stream, name, repairs)
-    take_share(numbers, words)
+    take_share(numbers, words, chosen)
     take_degrees(numbers, chosen, words, found)
     without_standing_positions(numbers, stream, chosen, found)
     take_movement(numbers, stream, words, found, name)

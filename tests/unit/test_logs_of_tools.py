@@ -364,6 +364,16 @@ def test_a_way_through_curves_is_as_long_as_its_fixes_say(seconds, noise_m):
         assert track.track_m == pytest.approx(way, rel=0.01 if noise_m == 0.0 or speed > 1.0 else 0.2)
 
 
+def test_a_jump_is_no_curve():
+    """Nor is the noise of a slow robot's fixes, a third of its steps: both were once taken for curves."""
+    t, rng = np.arange(0.0, 900.0), np.random.default_rng(5)
+    x, y = 0.3 * t + 500.0 * (t >= 300) - 400.0 * (t >= 600), 700.0 * (t >= 300) * (t < 600)
+    x, y = (each + 0.1 * rng.standard_normal(t.size) for each in (x, y))
+    text = "t,x,y,current [A]\n" + "".join(f"{a},{b},{c},2\n" for a, b, c in zip(t, x, y, strict=True))
+    track = cut_segments(parse_run(text, name="r"), charge=True)
+    assert track.driven_m.sum() == pytest.approx(0.3 * 900.0, rel=0.05)
+
+
 def test_a_counter_has_its_sum_whatever_the_stamps_are_rounded_to():
     t = np.round(0.25 + 0.5 * np.arange(1200), 1)
     counted = np.cumsum(0.02 + 0.01 * np.sin(np.arange(1200) / 9.0))
