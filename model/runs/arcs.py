@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from joulemap.model.runs.headings import Velocity
 from joulemap.model.runs.reckoning import WHEELS
 from joulemap.model.runs.run import Run
-from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
+from joulemap.model.runs.smoothing import SMOOTHING_S, cuts_corners, position_noise, smooth
 from joulemap.model.runs.table import TURNING
 from joulemap.model.runs.track import integral
 
@@ -39,7 +39,6 @@ _MEASURED_SHARE = 0.5  # at least so much of a segment is measured: missing rows
 _ROWS_BRIDGED = 2.5  # intervals between stamps: one missing row makes two, and stamps jitter
 _RIM_M = 0.5  # half the width of a robot of 1 m: turning moves its side so far per radian
 _WHEEL_RADIUS_M = 0.2  # of a wheel whose rate is logged in rad/s, to tell rolling from standing only
-_OF_NOISE = -0.4  # between -1/2 and -1/4, see `_cuts_corners`
 _NOISES = 4.0  # a stationary position wanders by up to so many standard deviations, as in 99.99 % of a normal one
 _HEADINGS = ("heading", "yaw")  # [deg]
 _WHEELS = {key: _WHEEL_RADIUS_M if key in TURNING else 1.0 for pair in WHEELS for key in pair}
@@ -111,7 +110,7 @@ def arc_track(run: Run, length_m: float) -> ArcTrack:
     smooth_x, smooth_y, vx, vy = smooth(t, x, y, piece, smoothing_s)
     speed = np.hypot(vx, vy)
     noise = position_noise(run.x[fixes], run.y[fixes], moved)
-    if interval <= SMOOTHING_S or not _cuts_corners(run.x[fixes], run.y[fixes], between):
+    if interval <= SMOOTHING_S or not cuts_corners(run.x[fixes], run.y[fixes], between):
         x, y = smooth_x, smooth_y
     within = max(STILL_M, _NOISES * noise)
     # with fixes seconds apart, what a vehicle accelerates is in the noise too, and the speed is that over more time
@@ -239,37 +238,6 @@ def _gaps(run: Run, fixes: NDArray[np.int64], length_m: float) -> tuple[BoolArra
     unmeasured = np.logical_or.reduceat(rows_missing(run.t[rows], along, length_m), fixes[:-1] - fixes[0])
     between = broke | unmeasured | (distance > _BRIDGED_LENGTHS * length_m)
     return between, float(distance[between & ~broke].sum())
-
-
-def position_noise(x: FloatArray, y: FloatArray, moved: BoolArray) -> float:
-    """Return the noise of single fixes, from how three in a row leave a straight line.
-
-    `x`, `y` (k,): fixes [m]; `moved` (k - 1,): whether each differs from the one before. Result: standard deviation
-    [m].
-    """
-    fresh = np.concatenate([[True], moved])
-    if fresh.sum() < 4:
-        return 0.0
-    bends = np.concatenate([np.diff(values[fresh], 2) for values in (x, y)])
-    return 1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0)
-
-
-def _cuts_corners(x: FloatArray, y: FloatArray, between: BoolArray) -> bool:
-    """Whether smoothing over one interval shortens the way between fixes by more than their noise lengthens it.
-
-    Noise n of fixes makes steps d longer by n^2 / d, and smoothing leaves exp(-theta^2 / 2) of the radius of a curve
-    that turns by theta in a step. Bends to the side, d theta, have a correlation of -2/3 with the next one where they
-    are noise, and of 0 to 1 in curves. Where n^2 / d is d theta^2 / 2 it is -1/2 for turns of one step, and -1/4 for
-    longer ones.
-
-    `x`, `y` (k,): fixes [m]; `between` (k - 1,): where the track breaks before the next.
-    """
-    step_x, step_y = np.diff(x), np.diff(y)
-    whole = ~between & ((step_x != 0) | (step_y != 0))
-    chord = np.hypot(step_x[1:] + step_x[:-1], step_y[1:] + step_y[:-1])
-    turned = step_x[:-1] * step_y[1:] - step_y[:-1] * step_x[1:]
-    bend = np.where(whole[1:] & whole[:-1] & (chord > 0), 2.0 * turned / np.where(chord > 0, chord, 1.0), 0.0)
-    return bool(bend.any() and (bend[1:] * bend[:-1]).sum() > _OF_NOISE * (bend**2).sum())
 
 
 def _rims(run: Run, rows: NDArray[np.int64], piece: NDArray[np.int64]) -> list[FloatArray]:

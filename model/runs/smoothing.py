@@ -1,4 +1,4 @@
-"""Smoothed positions and their velocities: local straight lines in time."""
+"""Smoothed positions and their velocities: local straight lines in time; and whether smoothing does good."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ SMOOTHING_S = 0.3
 
 MOST_SMOOTHED = 1000
 """Most rows that a smoothed position is made of; where more lie that near in time, every second, third or later one."""
+
+_OF_NOISE = -0.4
+"""Correlation of bends to the side, between -1/2 and -1/4: see `cuts_corners`."""
 
 
 @njit(cache=True)
@@ -60,3 +63,34 @@ def smooth(
         else:
             sx[k], sy[k] = x[k], y[k]
     return sx, sy, vx, vy
+
+
+def position_noise(x: FloatArray, y: FloatArray, moved: NDArray[np.bool_]) -> float:
+    """Return the noise of single fixes, from how three in a row leave a straight line.
+
+    `x`, `y` (k,): fixes [m]; `moved` (k - 1,): whether each differs from the one before. Result: standard deviation
+    [m].
+    """
+    fresh = np.concatenate([[True], moved])
+    if fresh.sum() < 4:
+        return 0.0
+    bends = np.concatenate([np.diff(values[fresh], 2) for values in (x, y)])
+    return 1.4826 * float(np.median(np.abs(bends))) / math.sqrt(6.0)
+
+
+def cuts_corners(x: FloatArray, y: FloatArray, between: NDArray[np.bool_]) -> bool:
+    """Return whether smoothing over one interval shortens the way between fixes by more than their noise lengthens it.
+
+    Noise n of fixes makes steps d longer by n^2 / d, and smoothing leaves exp(-theta^2 / 2) of the radius of a curve
+    that turns by theta in a step. Bends to the side, d theta, have a correlation of -2/3 with the next one where they
+    are noise, and of 0 to 1 in curves. Where n^2 / d is d theta^2 / 2 it is -1/2 for turns of one step, and -1/4 for
+    longer ones.
+
+    `x`, `y` (k,): fixes [m]; `between` (k - 1,): where the track breaks before the next.
+    """
+    step_x, step_y = np.diff(x), np.diff(y)
+    whole = ~between & ((step_x != 0) | (step_y != 0))
+    chord = np.hypot(step_x[1:] + step_x[:-1], step_y[1:] + step_y[:-1])
+    turned = step_x[:-1] * step_y[1:] - step_y[:-1] * step_x[1:]
+    bend = np.where(whole[1:] & whole[:-1] & (chord > 0), 2.0 * turned / np.where(chord > 0, chord, 1.0), 0.0)
+    return bool(bend.any() and (bend[1:] * bend[:-1]).sum() > _OF_NOISE * (bend**2).sum())

@@ -9,12 +9,10 @@ import numpy as np
 
 from joulemap.model.runs import agreement
 from joulemap.model.runs.column_values import numbers_of, read_column, stamps_of, words_of
-from joulemap.model.runs.columns_of_motion import (
+from joulemap.model.runs.columns_of_motion import take_distance, take_movement, take_wheels
+from joulemap.model.runs.columns_of_place import (
     check_latitude,
     take_degrees,
-    take_distance,
-    take_movement,
-    take_wheels,
     with_heading,
     without_frozen_positions,
     without_null_island,
