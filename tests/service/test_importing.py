@@ -21,6 +21,7 @@ from joulemap.service.intake.trial import refuse_deadly
 from joulemap.service.library import run_files
 from tests.reference import log_files as files
 from tests.service.conftest import WEST, settings_for
+from tests.unit import test_logs_of_tools as logs_of_tools
 from tests.unit.test_recordings import archive_of, split_bag
 
 ROWS = 300
@@ -259,3 +260,28 @@ def test_a_table_in_memory_outlives_a_service_of_the_same_process(tmp_path, monk
         runs = jm.read_runs(in_memory())
     assert all(file.is_file() for file in runs.files)
     assert len(jm.read_runs(in_memory())) == 1
+
+
+@pytest.mark.parametrize(
+    "shape", ["NMEA: the battery as transducers", "InfluxDB's export, with its preamble and another voltage"]
+)
+def test_logs_of_lines_through_the_command(tmp_path, shape):
+    path = tmp_path / "drive.log"
+    path.write_text(logs_of_tools.SHAPES[shape], encoding="utf-8", newline="")
+    done = CliRunner().invoke(app, ["import", str(path), "--out", str(tmp_path / "out"), "--json", "-"])
+    assert done.exit_code == 0, done.output
+    (told,) = json.loads(done.stdout)["runs"]
+    assert told["metres"] == pytest.approx(logs_of_tools.S[-1], rel=0.01)
+    assert (tmp_path / "out" / "drive.csv").is_file()
+    assert told["energy_j"] == pytest.approx(logs_of_tools.JOULES, rel=0.01)
+
+
+def test_an_archive_lies_where_its_bounds_say_through_the_command_and_over_http(tmp_path, client):
+    heights = np.add.outer(np.arange(40.0), np.zeros(60)) / 10.0
+    np.savez(tmp_path / "hill.npz", elevation=heights, bounds=[500_000.0, 4_000_000.0, 500_060.0, 4_000_040.0])
+    done = CliRunner().invoke(app, ["info", str(tmp_path / "hill.npz"), "--json", "-"])
+    assert done.exit_code == 0, done.output
+    answer = client.post("/v1/heightmaps", files={"file": ("hill.npz", (tmp_path / "hill.npz").read_bytes())})
+    assert answer.status_code == 201, answer.text
+    for said in (json.loads(done.stdout), answer.json()):
+        assert said["bounds"] == [500_000.0, 4_000_000.0, 500_060.0, 4_000_040.0]
