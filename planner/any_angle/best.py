@@ -22,6 +22,7 @@ from joulemap.planner.grid.stopping import check_stop
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import (
     MARGIN_PENALTY,
+    SHAPE_PENALTY,
     Points,
     Prices,
     driven_prices,
@@ -62,7 +63,7 @@ class BestPath:
     energy_j : float
         Its energy [J].
     grid_energy_j : float
-        Energy of the cheapest path over grid moves, penalties of the margin not counted [J].
+        Energy of the cheapest path over grid moves, penalties of the margin not counted [J]: it may keep less of it.
     expanded : int
         Number of settled states.
     """
@@ -94,7 +95,6 @@ def best_path(
     if region.cells is not None and read is not None and not read(region.cells, points):
         points = improved(lattice, points)
     elif region.cells is not None:
-        check_stop()
         points = _cheapest_in(lattice, region.cells, points, closed=region.beside_closed, any_closed=region.any_closed)
     return BestPath(points, path_price(lattice, points), path_price(lattice, grid.points), grid.expanded)
 
@@ -105,7 +105,8 @@ def improved(lattice: CostLattice, points: Points) -> Points:
     if path_length(points) == 0.0 or math.isnan(path_price(lattice, points)):
         return points
     points = shortcuts(_prices(lattice, points), points)
-    return _cheapest_in(lattice, region_around(lattice, points, half_side=AROUND), points, closed=True, any_closed=True)
+    around = region_around(lattice, points, half_side=AROUND)
+    return _cheapest_in(lattice, around, points, closed=True, any_closed=True)
 
 
 def driven_energy_j(lattice: CostLattice, points: Points, *, like: Points) -> float:
@@ -113,8 +114,7 @@ def driven_energy_j(lattice: CostLattice, points: Points, *, like: Points) -> fl
 
     like : a path whose energy says what a metre usually costs; paths are compared with the same one.
     """
-    prices = driven_prices(lattice, _cell_j(lattice, like), penalty=MARGIN_PENALTY)  # as passages are chosen
-    return float(path_energy(prices, points))
+    return float(path_energy(_prices(lattice, like), points))
 
 
 def tightened(lattice: CostLattice, points: Points) -> Points:
@@ -164,31 +164,28 @@ def _cheapest_in(
     """The cheapest path over line points of some cells, moved to the least energy nearby.
 
     It is at most as dear as a known one. closed : whether moves are closed near that; any_closed : from any of the
-    cells, else no margin is needed. Where turning costs, the known path is moved too: the grid weighs turns exactly, at
-    fewer headings.
+    cells, else no margin is needed. A path that comes within the margin is the best of its passage for its shape
+    (`SHAPE_PENALTY`). Where turning costs, the known path is moved too: the grid weighs turns exactly, at fewer
+    headings.
     """
+    check_stop()
     typical_j = _cell_j(lattice, known)
-    prices = driven_prices(lattice, typical_j) if any_closed else exact_prices(lattice)
-    known = shortcuts(prices, known)
-    turning = prices.turn_j_per_rad > 0.0
+    passages = driven_prices(lattice, typical_j) if any_closed else exact_prices(lattice)
+    known = shortcuts(passages, known)
+    turning = passages.turn_j_per_rad > 0.0
     fine = closed or turning
-    parts = CLOSED_PARTS if fine else OPEN_PARTS
 
-    def _cheapest(prices: Prices) -> Points:
+    def _cheapest(prices: Prices, cells: NDArray[np.bool_]) -> Points:
+        parts = CLOSED_PARTS if fine else OPEN_PARTS
         found = cheapest_over_line_points(lattice, prices, cells, known[0], known[-1], parts=parts, typical_j=typical_j)
-        paths = [found, known] if len(found) and turning else [found] if len(found) else [known]
-        return min([known, *(_moved(prices, path, fine) for path in paths)], key=lambda path: path_energy(prices, path))
+        return found if len(found) else known
 
-    path = _cheapest(prices)
-    if any_closed and _squeezes(lattice, path, known):
-        return _cheapest(driven_prices(lattice, typical_j, penalty=MARGIN_PENALTY))
-    return path
-
-
-def _squeezes(lattice: CostLattice, path: Points, known: Points) -> bool:
-    """Whether a path goes through more ground within the margin than a known one by more than its own approaches."""
-    parts = within_margin(lattice, known)
-    return sum(within_margin(lattice, path)) > sum(parts) + 2.0 * len(parts) * margin_cells(lattice)
+    prices, path = passages, _cheapest(passages, cells)
+    if any_closed and within_margin(lattice, path):
+        prices = driven_prices(lattice, typical_j, penalty=SHAPE_PENALTY)
+        path = _cheapest(prices, region_around(lattice, path, half_side=AROUND))
+    paths = [path, known] if turning and path is not known else [path]
+    return min([known, *(_moved(prices, path, fine) for path in paths)], key=lambda path: path_energy(passages, path))
 
 
 def _moved(prices: Prices, points: Points, fine: bool) -> Points:

@@ -9,7 +9,7 @@ cells alone, give the least energy of a path through each cell.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -19,7 +19,7 @@ from joulemap.planner.grid.heuristics import energy_bounds, guide_everywhere, gu
 from joulemap.planner.grid.search import GridPath, direct_energy, joined_points, no_route, terminals
 from joulemap.planner.grid.states import layer_count, new_search, run_search
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.pricing.integrator import Points
+from joulemap.planner.pricing.integrator import Points, margin_cells
 from joulemap.planner.pricing.moves import MoveTable
 from joulemap.planner.pricing.polylines import subdivided
 
@@ -57,7 +57,23 @@ class Region:
 
 
 def region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> Region:
-    """The region of two places (row, col); raises NoRouteError if the goal cannot be reached."""
+    """The region of two places (row, col); raises NoRouteError if the goal cannot be reached.
+
+    Moves over the grid keep to centres, so a passage may be wide enough for a path at any angle that keeps the robot's
+    margin and too narrow for any of them. Where ground is closed the cells are therefore also those of paths on which
+    only moves in narrow passages (`MoveTable.narrow`) count as within the margin.
+    """
+    region = _region_between(lattice, table, start, goal)
+    if region.cells is None or not region.any_closed or table.near.size == 0:
+        return region
+    narrow = _region_between(lattice, replace(table, near=table.narrow), start, goal)
+    if narrow.cells is not None:
+        region.cells[narrow.cells] = True
+    return region
+
+
+def _region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> Region:
+    """As `region_between`, with moves within the margin as the table has them."""
     layers = layer_count(lattice, table)
     seeds, cost = terminals(lattice, table, start, layers, outward=True)
     targets, rest = terminals(lattice, table, goal, layers, outward=False)
@@ -84,9 +100,9 @@ def region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: 
     budget = most + 1e-9 * abs(most)
     run_search(behind, table, np.unique(targets), guide_everywhere(table, backward=True), spent=ahead, budget=budget)
     reached = behind.reached_cells()
-    region = np.zeros(lattice.frame.shape, dtype=np.bool_)
+    region, growth = np.zeros(lattice.frame.shape, dtype=np.bool_), max(CLOSED_GROWTH, math.ceil(margin_cells(lattice)))
     for part in (reached, cells):
-        mark_around(region, part, lattice.frame.cols, CLOSED_GROWTH if closed else OPEN_GROWTH)
+        mark_around(region, part, lattice.frame.cols, growth if closed else OPEN_GROWTH)
     any_closed = closed or _closed_from(table, np.flatnonzero(region))
     return Region(grid, region, closed, any_closed)
 

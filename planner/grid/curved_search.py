@@ -23,7 +23,7 @@ from joulemap.planner.grid.curves import CORNER, HEADINGS, curve, moved, rounded
 from joulemap.planner.grid.fields import field_beyond, field_towards
 from joulemap.planner.grid.stopping import check_stop, stop_flag
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.pricing.integrator import MARGIN_PENALTY, Points, Prices, driven_prices, leg_prices_between
+from joulemap.planner.pricing.integrator import Points, Prices, driven_prices, leg_prices_between
 from joulemap.planner.pricing.kernels import path_energy
 from joulemap.planner.pricing.moves import MoveTable
 
@@ -49,7 +49,7 @@ def curved_path(
     """
     radius = lattice.robot.min_turning_radius_m / lattice.frame.resolution_m
     cell_j = table.typical_j / float(table.length_m.mean()) * lattice.frame.resolution_m
-    prices = driven_prices(lattice, cell_j, penalty=MARGIN_PENALTY)
+    prices = driven_prices(lattice, cell_j)
     begins = np.arange(HEADINGS) * CORNER if start_rad is None else np.array([start_rad])
     seeds = np.column_stack([np.tile(start, (begins.size, 1)), begins])
     first = np.append(start, np.nan if start_rad is None else start_rad)

@@ -63,6 +63,7 @@ def tiled_table(
         coarse.shares[order],
         least[order],
         near=tiles.near,
+        narrow=tiles.narrow,
         near_j=penalty_j(coarse.typical_j, length_m) if margin > 0.0 else np.zeros(0),
         tiles=tiles,
         sampled_j=coarse.typical_j,

@@ -288,8 +288,8 @@ def driven_leg_energy(memory, prices, leg, most):
     Result: energy [J]; NaN where the leg itself may not be driven.
 
     The mean of a normal error from three legs side by side (Gauss-Hermite), exact for a price that is quadratic across
-    the leg. They are longer than it by the margin at both ends, because a robot is late and early too. Where the margin
-    is wider than a cell, legs between them are looked at, so that nothing is passed by.
+    the leg. They are longer than it by the margin at both ends, because a robot is late and early too. Where they are
+    more than a cell from each other, legs between them are looked at, so that nothing is passed by.
     """
     price, terms = leg_energy_with(memory, prices, leg, most), prices.terms
     margin = terms[6]
@@ -300,17 +300,17 @@ def driven_leg_energy(memory, prices, leg, most):
     length = math.sqrt(drow * drow + dcol * dcol)
     if length == 0.0:
         return price
-    steps = int(math.ceil(margin))
+    bands = int(math.ceil(2.0 * margin))
     mean, down, right = price, drow / length * margin, dcol / length * margin
     longer = length / (length + 2.0 * margin)
-    for k in range(-steps, steps + 1):
-        share = k / steps
+    for k in range(bands + 1):
+        share = 2.0 * k / bands - 1.0
         begin_row, begin_col = row0 + share * right - down, col0 - share * down - right
         end_row, end_col = row1 + share * right + down, col1 - share * down + right
         beside = leg_energy_with(memory, prices, (begin_row, begin_col, end_row, end_col), math.inf)
         if math.isnan(beside):
             return price + terms[8] * length
-        if abs(k) == steps:
+        if k == 0 or k == bands:
             mean += terms[7] * (beside * longer - price)
     return mean
 

@@ -53,6 +53,8 @@ class MoveTable:
     near : ndarray of uint32, (cells,) or (0,)
         Bit n is set where move n leaves the cell nearer to ground that may not be driven than the robot's margin; empty
         where no margin is kept.
+    narrow : ndarray of uint32, (cells,) or (0,)
+        Likewise where no path beside the move, within a margin of it, keeps the margin either.
     near_j : ndarray of float64, (N,) or (0,)
         What such a move costs more in a search [J].
     tiles : Tiles, optional
@@ -73,6 +75,7 @@ class MoveTable:
     bound_per_m: NDArray[np.float64]
     metric: bool = False
     near: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
+    narrow: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
     near_j: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     tiles: Tiles | None = None
     sampled_j: float = 0.0
@@ -133,10 +136,10 @@ def with_margin(table: MoveTable, margin: float) -> MoveTable:
         return table
     rows, cols = table.surface.shape
     beside = beside_moves(table.offsets, margin)
-    near = near_closed(table.energy, table.offsets, beside, 0, 0, rows, cols).ravel()
+    near, narrow = near_closed(table.energy, table.offsets, beside, 0, 0, rows, cols)
     if not near.any():
         return table
-    return replace(table, near=near, near_j=penalty_j(table.typical_j, table.length_m))
+    return replace(table, near=near.ravel(), narrow=narrow.ravel(), near_j=penalty_j(table.typical_j, table.length_m))
 
 
 def penalty_j(typical_j: float, length_m: NDArray[np.float64]) -> NDArray[np.float64]:

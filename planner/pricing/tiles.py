@@ -114,9 +114,9 @@ class Tiles:
         self.surface = reserved(shape, np.dtype(np.float64)).array
         self._beside = beside_moves(moves.offsets, margin)
         self._margin = moves.reach + int(np.abs(self._beside).max(initial=0))
-        self.near = np.zeros(0, np.uint32)
+        self.near, self.narrow = np.zeros((2, 0), np.uint32)
         if margin > 0.0:
-            self.near = reserved((shape[0] * shape[1],), np.dtype(np.uint32)).array
+            self.near, self.narrow = reserved((2, shape[0] * shape[1]), np.dtype(np.uint32)).array
         self._most = max(int(_PRICES_SHARE * memory_bytes) // (4 * side**2 * count), _LEAST_TILES)
         self.there = np.zeros(self.count, dtype=np.bool_)
         self.used = np.zeros(self.count, dtype=np.int64)
@@ -290,9 +290,9 @@ class Tiles:
         inner = slice(beyond, beyond + rows.stop - rows.start), slice(beyond, beyond + cols.stop - cols.start)
         self.energy[rows, cols] = energy[inner]
         if self.near.size:
-            near = near_closed(
-                energy, self._moves.offsets, self._beside, rows.start - beyond, cols.start - beyond, *self.shape
-            )
-            self.near.reshape(self.shape)[rows, cols] = near[inner]
+            first = rows.start - beyond, cols.start - beyond
+            found = near_closed(energy, self._moves.offsets, self._beside, *first, *self.shape)
+            for bits, of_tile in zip((self.near, self.narrow), found, strict=True):
+                bits.reshape(self.shape)[rows, cols] = of_tile[inner]
         if self._read_surface is not None:
             self.surface[rows, cols] = self._read_surface(rows.start, rows.stop, cols.start, cols.stop)
