@@ -226,7 +226,7 @@ def wheel_speed(column: str, unit: str = "") -> tuple[str, Candidate] | None:
     side, joint = side_of(column), bool(_JOINT & {*words_of(column)})
     for target, usual in ((f"speed_{side}", ""), (f"wheel_{side}_rad_s", "rad/s" if joint else "")):
         said = known_unit(target, unit) or unit_in_name(target, column)[1] or usual
-        if side and (said or not (joint or usual or target.startswith("wheel"))):
+        if side and (said or not (joint or target.startswith("wheel"))):
             own = _WORDS["speed"] | (_set("v") | _WHEEL | SIDES.keys() if said else frozenset())
             found = _of_side(target, column, own, _ROLLING, said)
             if found is not None:

@@ -19,6 +19,7 @@ from scipy.ndimage import gaussian_filter
 from joulemap.model.energy.examples import MAX_TURN_RAD
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.errors import BlockedError
 from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.robots import FieldRobot
 from joulemap.model.field.simulation import simulate_segments
@@ -100,7 +101,10 @@ def _inside(survey, robot, predictor, said_j, std_j, energy_j) -> bool:
 def routes(sites: int, *, correlation_m: float, as_surveyed: bool, seed: int) -> None:
     """Print energies of chosen routes over what they cost on the true ground, and that over the best there."""
     robot = Robot(max_grade_deg=35.0, max_cross_slope_deg=35.0)
-    print("predicted over true energy of the chosen routes / true energy over that of the best ones")
+    print(
+        "predicted over true energy of the chosen routes / true energy over that of the best ones / routes that may not "
+        "be driven on the true ground"
+    )
     found = defaultdict(list)
     for number in range(sites):
         rng = np.random.default_rng([seed, number])
@@ -119,14 +123,19 @@ def routes(sites: int, *, correlation_m: float, as_surveyed: bool, seed: int) ->
                     planner = RoutePlanner(_open(build_lattice(survey, robot, model)))
                     for (a, b), least in zip(ends, best, strict=True):
                         chosen = planner.plan(tuple(a), tuple(b)).route
-                        driven = price_route(truth, chosen.points[:, :2]).energy_j
-                        found[name, cells_m, noise_m].append((chosen.energy_j, driven, least))
+                        try:
+                            driven = price_route(truth, chosen.points[:, :2]).energy_j
+                        except BlockedError:  # the true ground is steeper there than the robot may drive
+                            found[name, cells_m, noise_m].append((0.0, 0.0, 0.0))
+                        else:
+                            found[name, cells_m, noise_m].append((chosen.energy_j, driven, least))
     for name in MODELS:
         for cells_m in (0.25, 1.0):
             row = []
             for noise_m in NOISES_M[1:]:
-                said, driven, least = np.array(found[name, cells_m, noise_m]).sum(axis=0)
-                row.append(f"{1000 * noise_m:4.0f} mm {said / driven:5.3f} {driven / least:5.3f}")
+                energies = np.array(found[name, cells_m, noise_m])
+                (said, driven, least), blocked = energies.sum(axis=0), (energies[:, 1] == 0.0).sum()
+                row.append(f"{1000 * noise_m:4.0f} mm {said / driven:5.3f} {driven / least:5.3f} {blocked:2d}")
             print(f"{name:10s} {cells_m:4g} m cells", *row, sep="   ")
 
 

@@ -336,6 +336,9 @@ def test_plans_pay_for_all_turning_that_was_found_and_for_nothing_else():
     terms = [Term(Turning(), (14.0,)), Term(Turning(0.3), (100.0,)), Term(HotelLoad(), (5.0,))]
     assert turning_per_rad(terms, rows) == pytest.approx(14.0 + 100.0 * (turned @ gentle) / (turned @ turned))
     assert turning_per_rad(terms[2:], rows) == 0.0
+    always = Term(Curve("turning", (0.0, 0.5, 1.0), centred=False), (3.0, 3.0, 3.0))  # straight on as well
+    assert always.form.name == "turning"
+    assert turning_per_rad([always], rows) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_where_an_effect_acts_is_said():
