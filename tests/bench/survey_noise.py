@@ -102,8 +102,8 @@ def routes(sites: int, *, correlation_m: float, as_surveyed: bool, seed: int) ->
     """Print energies of chosen routes over what they cost on the true ground, and that over the best there."""
     robot = Robot(max_grade_deg=35.0, max_cross_slope_deg=35.0)
     print(
-        "predicted over true energy of the chosen routes / true energy over that of the best ones / routes that may not "
-        "be driven on the true ground"
+        "predicted over true energy of the chosen routes / true energy over that of the best ones / routes that may "
+        "not be driven on the true ground"
     )
     found = defaultdict(list)
     for number in range(sites):
