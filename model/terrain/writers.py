@@ -5,14 +5,13 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+from rasterio.errors import RasterioIOError
 from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 
@@ -66,9 +65,8 @@ def write_bands_geotiff(
         if tags:
             dataset.update_tags(**tags)
 
-    with warnings.catch_warnings(), rasterio.Env(GDAL_PAM_ENABLED="NO", GDAL_CACHEMAX=128):
-        # A corner at (0, 0) with cells of 1 m looks to rasterio like no transform; GeoTIFF does keep it.
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    # A corner at (0, 0) with cells of 1 m looks to rasterio like no transform; GeoTIFF does keep it.
+    with rasterio.Env(GDAL_PAM_ENABLED="NO", GDAL_CACHEMAX=128):
         if path is None:
             with MemoryFile() as memory:
                 with memory.open(**profile) as dataset:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from io import BytesIO
@@ -11,7 +10,6 @@ from pathlib import PurePosixPath
 from uuid import uuid4
 
 import rasterio
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader, MemoryFile
 
 from joulemap.model.errors import HeightmapError, TooLargeError
@@ -69,8 +67,7 @@ def opened(source: SourceFile, drivers: Sequence[str], *, what: str, part: str =
     if not beside:
         _check_grids(source, what)
     options = GDAL_OPTIONS | (_WITH_SIDE_FILES if beside or source.beside else {})
-    with warnings.catch_warnings(), rasterio.Env(**options), ExitStack() as stack:
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with rasterio.Env(**options), ExitStack() as stack:
         try:
             if beside or (not isinstance(source.place, bytes) and tuple(drivers) == ("GTiff",)):
                 place = str(source.place)

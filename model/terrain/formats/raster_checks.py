@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 import warnings
+from typing import Any
 
 import numpy as np
 from rasterio.enums import ColorInterp
@@ -19,6 +21,7 @@ HEIGHTS = ("elevation", "z", "height", "dem", "topo", "altitude", "band1", "heig
 """What bands and variables with heights are called."""
 
 _MAX_BLOCK_BYTES = 1 << 30
+_ONE_AT_A_TIME = threading.Lock()
 
 
 def transform_of(dataset: DatasetReader) -> Affine:
@@ -26,10 +29,19 @@ def transform_of(dataset: DatasetReader) -> Affine:
 
     For a picture without a place, PGM for one, rasterio warns and returns memory that GDAL did not write.
     """
-    with warnings.catch_warnings(record=True) as said:
+    usual, own, nowhere = warnings.showwarning, threading.get_ident(), False
+
+    def _seen(message: Warning | str, category: type[Warning], *where: Any) -> None:
+        nonlocal nowhere
+        if not issubclass(category, NotGeoreferencedWarning):
+            usual(message, category, *where)
+        elif threading.get_ident() == own:
+            nowhere = True
+
+    with _ONE_AT_A_TIME, warnings.catch_warnings():  # which exchanges the filters of all threads
         warnings.simplefilter("always", NotGeoreferencedWarning)
+        warnings.showwarning = _seen
         terms = dataset.read_transform()
-    nowhere = any(issubclass(one.category, NotGeoreferencedWarning) for one in said)  # others may be of other threads
     return Affine.identity() if nowhere else Affine.from_gdal(*terms)
 
 
