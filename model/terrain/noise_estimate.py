@@ -115,15 +115,6 @@ def estimated_noise(ground: Surveyed) -> SurveyNoise:
     return replace(independent, bumps=bumps)
 
 
-def noise_of(heights: FloatArray) -> float | None:
-    """Return the standard deviation [m] of noise that is independent from cell to cell, of heights (rows, cols).
-
-    None where too little is known.
-    """
-    twists = twists_of(heights)
-    return independent_noise_m(twists[:, 0]) if len(twists) >= _FINEST else None
-
-
 def twists_of(heights: FloatArray) -> NDArray[np.float64]:
     """Return for each side of `_SIDES` the variance of half the twists [m2], their number, and how heavy their tails
     are: the ninth decile of their size over their median.

@@ -116,52 +116,22 @@ class Verdict:
         return f"not feasible: {need}, {self.shortfall_j / 3600:.2f} Wh short"
 
 
-def judge(energy_j: float, battery: Battery, *, std_j: float | None = None, freedom: float | None = None) -> Verdict:
-    """Return the verdict for a task of a given energy.
-
-    Parameters
-    ----------
-    energy_j : float
-        Energy that the task needs [J]; negative where regeneration fills the battery.
-    battery : Battery
-        Capacity, charge and reserve. Its voltage is not judged: that needs a course.
-    std_j : float, optional
-        Standard deviation of `energy_j` [J] of a normal distribution, or scale of Student's t.
-    freedom : float, optional
-        Degrees of freedom of Student's t.
-
-    Returns
-    -------
-    Verdict
-        Whether the battery lasts.
-    """
-    std, degrees = (None if value is None else [value] for value in (std_j, freedom))
-    return judge_along([energy_j], battery, std_j=std, freedom=degrees)
-
-
-def judge_along(
-    pieces_j: ArrayLike,
-    battery: Battery,
-    *,
-    std_j: ArrayLike | None = None,
-    freedom: ArrayLike | None = None,
-    available_j: float | None = None,
+def judge(
+    energy_j: ArrayLike, battery: Battery, *, std_j: ArrayLike | None = None, freedom: ArrayLike | None = None
 ) -> Verdict:
-    """Return the verdict for a task driven piece by piece.
+    """Return the verdict for a task of a given energy, or for one that is driven piece by piece.
 
     Parameters
     ----------
-    pieces_j : array_like, (n,)
-        Energy of each piece, in order [J].
+    energy_j : float or array_like, (n,)
+        Energy of the task, or of each of its pieces in order [J]; negative where regeneration fills the battery.
     battery : Battery
         Capacity, charge and reserve. Its voltage is not judged: that needs a course.
-    std_j : array_like, (n,), optional
+    std_j : float or array_like, (n,), optional
         Standard deviation of the energy up to the end of each piece [J] of a normal distribution, or scale of Student's
         t.
-    freedom : array_like, (n,), optional
+    freedom : float or array_like, (n,), optional
         Degrees of freedom of Student's t.
-    available_j : float, optional
-        Energy above the reserve [J], where it is not that of the battery.
 
     Returns
     -------
@@ -174,12 +144,12 @@ def judge_along(
     point: margin and shortfall are counted there, and the probability is that of the piece after which the battery is
     most likely empty.
     """
-    pieces = np.asarray(pieces_j, dtype=np.float64)
+    pieces = np.atleast_1d(np.asarray(energy_j, dtype=np.float64))
     known = None
     if std_j is not None:
-        degrees = None if freedom is None else np.asarray(freedom, dtype=np.float64)
-        known = EnergyOdds(_summed(pieces), np.asarray(std_j, dtype=np.float64), degrees)
-    return _judge(pieces, battery, known, battery.available_j if available_j is None else available_j).verdict
+        degrees = None if freedom is None else np.atleast_1d(np.asarray(freedom, dtype=np.float64))
+        known = EnergyOdds(_summed(pieces), np.atleast_1d(np.asarray(std_j, dtype=np.float64)), degrees)
+    return _judge(pieces, battery, known, battery.available_j).verdict
 
 
 def judge_course(

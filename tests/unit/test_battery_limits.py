@@ -14,7 +14,7 @@ from joulemap.planner.pricing.integrator import world_points
 from joulemap.planner.questions.charging import Charging, cheapest_chain
 from joulemap.planner.route import pieces_of
 from joulemap.planner.route_planner import RouteOptions, RoutePlanner
-from joulemap.planner.verdict.budget import judge, judge_along
+from joulemap.planner.verdict.budget import judge
 from joulemap.service.analysis.homeward import homeward
 from tests.reference.lattices import random_lattice
 
@@ -23,7 +23,7 @@ PIECES = st.lists(st.floats(-5000.0, 5000.0), min_size=1, max_size=30)
 
 def test_a_summit_that_is_out_of_reach() -> None:
     """1 Wh = 3600 J: 4000 J up and 1000 J back cost 3000 J in all, but the battery is empty before the summit."""
-    verdict = judge_along([4000.0, -1000.0], Battery(1.0))
+    verdict = judge([4000.0, -1000.0], Battery(1.0))
     assert judge(3000.0, Battery(1.0)).feasible
     assert (verdict.feasible, verdict.energy_j, verdict.shortfall_j) == (False, 3000.0, 400.0)
 
@@ -31,7 +31,7 @@ def test_a_summit_that_is_out_of_reach() -> None:
 @given(pieces=PIECES, charge=st.floats(0.0, 1.0), reserve=st.floats(0.0, 1.0))
 def test_against_a_plain_walk(pieces: list[float], charge: float, reserve: float) -> None:
     battery = Battery(2.0, charge=charge, reserve=reserve)
-    verdict = judge_along(pieces, battery)
+    verdict = judge(pieces, battery)
     left = lowest = battery.available_j
     for piece in pieces:
         left = min(left - piece, (1.0 - reserve) * 7200.0)

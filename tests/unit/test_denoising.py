@@ -13,7 +13,6 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.denoising import LEAST_NOISE_M, _details, denoised, margin_cells, noise_shares
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.noise_estimate import noise_of
 from joulemap.model.terrain.readers import open_ground
 from joulemap.model.terrain.survey import SurveyQuality, degrade
 from joulemap.model.terrain.windows import window_without_noise
@@ -166,7 +165,7 @@ def test_unknown_heights_stay_unknown_and_change_little_around_them():
     np.testing.assert_array_equal(np.isnan(found), np.isnan(holes))
     known = ~np.isnan(holes)
     assert np.abs(found - denoised(survey.heights, 0.05))[known].max() < 0.05
-    assert noise_of(holes) == pytest.approx(noise_of(survey.heights), rel=0.05)
+    assert replace(survey, heights=holes).noise_m == pytest.approx(survey.noise_m, rel=0.05)
 
 
 @pytest.mark.parametrize("length_m", [0.0, 0.3])

@@ -20,7 +20,7 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.build import build_lattice
 from joulemap.planner.route import price_route
 from joulemap.planner.route_planner import RoutePlanner
-from joulemap.planner.verdict.budget import judge, judge_along
+from joulemap.planner.verdict.budget import judge
 from joulemap.service.analysis.feasibility import assess
 from joulemap.service.analysis.route_uncertainty import odds_along, odds_of_energies
 
@@ -139,7 +139,7 @@ def test_probabilities_of_the_normal_distribution() -> None:
 def test_beyond_1_and_99_percent_no_probability_is_given(energy_j, std_j, limit, words) -> None:
     """The tails of the distribution of errors are not known: 0.99 means at least 0.99."""
     verdicts = [judge(energy_j, Battery(1.0), std_j=std_j)]
-    verdicts.append(judge_along([energy_j, -10.0], Battery(1.0), std_j=[std_j, std_j]))  # at the lowest point
+    verdicts.append(judge([energy_j, -10.0], Battery(1.0), std_j=[std_j, std_j]))  # at the lowest point
     for verdict in verdicts:
         assert verdict.probability == pytest.approx(limit)
         assert f"probability that it lasts: {words}" in str(verdict)
@@ -156,6 +156,6 @@ def test_the_sentence_of_a_verdict_has_the_mean_and_no_second_number(bias: float
 
 def test_with_regeneration_the_riskiest_piece_decides() -> None:
     """3500 J up are one deviation of 100 J below the battery's 3600; 1000 J come back and are no help before."""
-    verdict = judge_along([3500.0, -1000.0], Battery(1.0), std_j=[100.0, 120.0])
+    verdict = judge([3500.0, -1000.0], Battery(1.0), std_j=[100.0, 120.0])
     assert verdict.probability == pytest.approx(0.8413, abs=1e-4)
     assert verdict.energy_std_j == 120.0

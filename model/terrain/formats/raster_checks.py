@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from rasterio.enums import ColorInterp
@@ -29,20 +29,19 @@ def transform_of(dataset: DatasetReader) -> Affine:
 
     For a picture without a place, PGM for one, rasterio warns and returns memory that GDAL did not write.
     """
-    usual, own, nowhere = warnings.showwarning, threading.get_ident(), False
+    nowhere: set[int] = set()  # threads for which rasterio said so
 
     def _seen(message: Warning | str, category: type[Warning], *where: Any) -> None:
-        nonlocal nowhere
-        if not issubclass(category, NotGeoreferencedWarning):
+        if issubclass(category, NotGeoreferencedWarning):
+            nowhere.add(threading.get_ident())
+        else:
             usual(message, category, *where)
-        elif threading.get_ident() == own:
-            nowhere = True
 
     with _ONE_AT_A_TIME, warnings.catch_warnings():  # which exchanges the filters of all threads
         warnings.simplefilter("always", NotGeoreferencedWarning)
-        warnings.showwarning = _seen
+        usual, warnings.showwarning = warnings.showwarning, cast("Any", _seen)
         terms = dataset.read_transform()
-    return Affine.identity() if nowhere else Affine.from_gdal(*terms)
+    return Affine.identity() if threading.get_ident() in nowhere else Affine.from_gdal(*terms)
 
 
 def check_grid(
