@@ -279,6 +279,15 @@ def test_a_ring_is_closed_and_a_crs_may_be_its_name_alone():
         assert layer.is_closed(WEST + 5.0, NORTH - 5.0)
 
 
+def test_corners_that_look_like_degrees_are_degrees_where_the_map_has_a_crs():
+    lon, lat = rasterio.warp.transform(CRS, "EPSG:4326", *np.transpose(RING))
+    (layer,) = jm.with_layers(level(), obstacles=feature(np.column_stack([lon, lat]).tolist())).layers.each
+    assert layer.is_closed(WEST + 5.0, NORTH - 5.0)
+    nowhere = jm.heightmap(np.zeros((9, 9)), resolution_m=1.0)
+    (around,) = jm.with_layers(nowhere, obstacles=feature([[-9, -9], [20, -9], [20, 20], [-9, 20]])).layers.each
+    assert around.is_closed(5.0, 5.0)
+
+
 @pytest.mark.parametrize(
     ("role", "given", "said"),
     [
