@@ -34,6 +34,7 @@ from joulemap.planner.planners import PLANNERS, Options, Planner, planner_named
 from joulemap.planner.pricing.integrator import Points, metres_within_margin, path_headings, path_price
 from joulemap.planner.pricing.move_prices import check_neighbours
 from joulemap.planner.pricing.moves import MoveTable, repriced
+from joulemap.planner.pricing.polylines import path_length
 from joulemap.planner.questions.alternatives import alternative_paths, improved_ways
 from joulemap.planner.questions.bound import bound_table, energy_bound, quick_bound
 from joulemap.planner.questions.tours import cheapest_tour
@@ -219,7 +220,9 @@ class RoutePlanner(FieldPlanner):
             shortest, best, found = self._ways(start, goal, how)
         if lattice.robot.turn_j_per_rad > 0.0 and not how.asked.weighs_turning:
             notes.append(f"{how.planner} does not weigh turning while it searches; the energy given includes it")
-        if not curved:
+        if curved:
+            shortest = min(shortest, best, key=path_length)
+        else:
             shortest = shorter_of(lattice, self._distances, shortest, best)
 
         def _energy_j(way: Points) -> float:

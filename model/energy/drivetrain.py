@@ -22,8 +22,9 @@ def changes(robot: Robot, known: float) -> bool:
 def geared(traction: NDArray[_Real], robot: Robot, known: float) -> NDArray[_Real]:
     """Return traction with the efficiency that a robot declares in place of that which a model knows.
 
-    Rolling on level ground is declared as the battery sees it, so only what is beyond it passes the drivetrain: upwards
-    more is asked of the battery, downwards less comes back.
+    Rolling on level ground is declared as the battery sees it, so only what is beyond it passes the drivetrain: climbs
+    ask more of the battery, and descents spare it as much more while the drives pull. What is regenerated passes it the
+    other way.
 
     traction : of any shape [J/m], changed in place; known : 0 where the model does not know it, 1 where it leaves the
     drivetrain out. Result: `traction`; as it was where the robot or the model says nothing.
@@ -32,6 +33,8 @@ def geared(traction: NDArray[_Real], robot: Robot, known: float) -> NDArray[_Rea
         level = traction.dtype.type(robot.weight_n * robot.rolling_resistance)
         ratio = traction.dtype.type(known / robot.drivetrain_efficiency)
         traction -= level
-        traction *= np.where(traction > 0.0, ratio, 1.0 / ratio)
+        traction *= ratio
         traction += level
+        if robot.regeneration > 0.0:
+            np.divide(traction, ratio, out=traction, where=traction < 0.0)
     return traction

@@ -8,7 +8,6 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from joulemap.model.energy.drivetrain import geared
 from joulemap.model.energy.grade import SEGMENT_M
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.shape_features import FEATURES, shape_features
@@ -77,7 +76,7 @@ class OwnModel(PhysicsPredictor):
         for begin in range(0, xs.size, _AT_ONCE):
             part = slice(begin, begin + _AT_ONCE)
             traction[part] = self._answers(heightmap, robot, xs[part], ys[part], headings[part])
-        return heightmap.layers.on_kinds(geared(traction, robot, 1.0), robot, xs, ys)
+        return heightmap.layers.on_kinds(traction, robot, xs, ys)
 
     def _answers(
         self, heightmap: Heightmap, robot: Robot, x: FloatArray, y: FloatArray, heading: FloatArray

@@ -142,8 +142,8 @@ def margin_notes(lattice: CostLattice, points: Points) -> list[str]:
         return []
     margin_m = margin_cells(lattice) * lattice.frame.resolution_m
     return [
-        f"for {metres:.1f} m the route is nearer than {margin_m:g} m to ground that may not be driven: every way "
-        f"around costs over {MARGIN_PENALTY:g} times as much as that stretch"
+        f"for {metres:.1f} m the route is nearer than {margin_m:g} m to ground that may not be driven: no way around "
+        f"was found that costs less than {MARGIN_PENALTY:g} times as much as that stretch"
     ]
 
 

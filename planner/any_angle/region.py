@@ -60,15 +60,17 @@ def region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: 
     """The region of two places (row, col); raises NoRouteError if the goal cannot be reached.
 
     Moves over the grid keep to centres, so a passage may be wide enough for a path at any angle that keeps the robot's
-    margin and too narrow for any of them. Where ground is closed the cells are therefore also those of paths on which
-    only moves in narrow passages (`MoveTable.narrow`) count as within the margin.
+    margin and too narrow for any of them; and of two narrow ways the moves do not say which is narrower. Where ground
+    is closed the cells are therefore also those of paths on which only moves in narrow passages (`MoveTable.narrow`)
+    count as within the margin, and of those on which none does.
     """
     region = _region_between(lattice, table, start, goal)
     if region.cells is None or not region.any_closed or table.near.size == 0:
         return region
-    narrow = _region_between(lattice, replace(table, near=table.narrow), start, goal)
-    if narrow.cells is not None:
-        region.cells[narrow.cells] = True
+    for near in (table.narrow, table.near[:0]):
+        other = _region_between(lattice, replace(table, near=near), start, goal)
+        if other.cells is not None:
+            region.cells[other.cells] = True
     return region
 
 

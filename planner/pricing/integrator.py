@@ -24,12 +24,12 @@ from joulemap.planner.pricing.polylines import Points, subdivided
 LEAST_MARGIN_CELLS, MOST_MARGIN_CELLS = 0.5, 3.0
 """Least and largest margin to ground that may not be driven, for a robot that does not keep to its path exactly. Within
 a wider one every leg would take long to price; a coarser map keeps it."""
-MARGIN_PENALTY, SHAPE_PENALTY = 30.0, 1.0
+MARGIN_PENALTY, SHAPE_PENALTY = 10.0, 1.0
 """A leg within the margin counts as if it were so much longer: a move where passages are chosen between, over the grid,
-and a leg where the path's shape is. A pinch of a third of a metre, where a robot 0.1 m beside its path meets closed
-ground, is worth a way around of ten metres. A half circle around a corner is 0.57 diameters longer than the way
-through, so a shape keeps the margin at any penalty above; much above, metres are bought that leave a door narrower than
-the margin a little sooner."""
+and a leg where the path's shape is. Three times as much keeps no more of the margin on a real hillside
+(`python -m tests.bench.margin`), and goes 100 m around a door of 3 m. A half circle around a corner is 0.57 diameters
+longer than the way through, so a shape keeps the margin at any penalty above; much above, metres are bought that leave
+a door narrower than the margin a little sooner."""
 
 
 def price_terms(lattice: CostLattice) -> NDArray[np.float64]:
@@ -119,9 +119,9 @@ def _closed_beside(lattice: CostLattice, points: Points, margin: float) -> NDArr
     side = np.column_stack([along[:, 1], -along[:, 0]])
     closed = np.zeros(len(step), dtype=np.bool_)
     for share in np.linspace(-1.0, 1.0, math.ceil(2.0 * margin) + 1):
-        closed |= np.isnan(
-            leg_prices_between(lattice, points[:-1] + share * side - along, points[1:] + share * side + along)
-        )
+        ends = points[:-1] + share * side - along, points[1:] + share * side + along
+        inside = (np.clip(end, -0.5, np.array(lattice.frame.shape) - 0.5) for end in ends)  # beyond nothing is known
+        closed |= np.isnan(leg_prices_between(lattice, *inside))
     return closed
 
 

@@ -296,6 +296,7 @@ def driven_leg_energy(memory, prices, leg, most):
     if margin == 0.0 or not price <= most:
         return price
     row0, col0, row1, col1 = leg
+    rows, cols, _ = prices.traction.shape
     drow, dcol = row1 - row0, col1 - col0
     length = math.sqrt(drow * drow + dcol * dcol)
     if length == 0.0:
@@ -307,10 +308,17 @@ def driven_leg_energy(memory, prices, leg, most):
         share = 2.0 * k / bands - 1.0
         begin_row, begin_col = row0 + share * right - down, col0 - share * down - right
         end_row, end_col = row1 + share * right + down, col1 - share * down + right
-        beside = leg_energy_with(memory, prices, (begin_row, begin_col, end_row, end_col), math.inf)
+        shifted = begin_row, begin_col, end_row, end_col
+        cut = (  # beyond the map nothing is known to be closed
+            min(max(begin_row, -0.5), rows - 0.5),
+            min(max(begin_col, -0.5), cols - 0.5),
+            min(max(end_row, -0.5), rows - 0.5),
+            min(max(end_col, -0.5), cols - 0.5),
+        )
+        beside = leg_energy_with(memory, prices, cut, math.inf)
         if math.isnan(beside):
             return price + terms[8] * length
-        if k == 0 or k == bands:
+        if (k == 0 or k == bands) and cut == shifted:
             mean += terms[7] * (beside * longer - price)
     return mean
 

@@ -203,7 +203,7 @@ def _response(traction, n, i, j, part, corner, blend, regeneration):
 
 
 def beside_moves(offsets: NDArray[np.int64], margin: float) -> NDArray[np.int64]:
-    """Return the cells beside each move that bands of twice the margin [cells] reach: steps (N, 3, A, 2).
+    """Return the cells around each move that bands of twice the margin [cells] reach: steps (N, 3, A, 2).
 
     The bands lie to the left of the move, around it and to its right; some cells are repeated.
     """
@@ -215,7 +215,9 @@ def beside_moves(offsets: NDArray[np.int64], margin: float) -> NDArray[np.int64]
         bands.append([])
         for middle in (-margin, 0.0, margin):
             sides = np.linspace(middle - margin, middle + margin, steps + 1)
-            ends = [[(math.floor(v + 1e-9), math.ceil(v - 1e-9)) for v in (-dcol * s, drow * s)] for s in sides]
+            along = (-margin, 0.0, margin)  # a robot is late and early too
+            shifts = [(ahead * drow - side * dcol, ahead * dcol + side * drow) for side in sides for ahead in along]
+            ends = [[(math.floor(v + 1e-9), math.ceil(v - 1e-9)) for v in shift] for shift in shifts]
             bands[-1].append(sorted({(i, j) for rows, cols in ends for i in rows for j in cols}))
     most = max(len(cells) for three in bands for cells in three)
     return np.array([[(cells * most)[:most] for cells in three] for three in bands])

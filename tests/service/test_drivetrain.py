@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +34,28 @@ def ways_j(model, **robot):
 def test_equation_5_lifts_with_the_losses_of_the_drivetrain(efficiency):
     up, down = ways_j("physics", drivetrain_efficiency=efficiency)
     assert up == pytest.approx(IDLE_J + METRES * WEIGHT_N * (ROLLING + SLOPE / efficiency), rel=1e-4)
-    pushed = METRES * WEIGHT_N * (ROLLING - SLOPE * efficiency)  # half of it comes back where it is released
-    assert down == pytest.approx(IDLE_J + (pushed if pushed > 0.0 else 0.5 * pushed), rel=1e-3)
+    pulled = METRES * WEIGHT_N * (ROLLING - SLOPE / efficiency)  # the ground spares what it would take to lift
+    released = METRES * WEIGHT_N * (ROLLING * efficiency - SLOPE)  # at the wheels, of which half comes back
+    assert down == pytest.approx(IDLE_J + (pulled if pulled > 0.0 else 0.5 * released), rel=1e-3)
+
+
+def test_along_a_contour_between_two_headings_of_the_lattice_a_lossy_drivetrain_costs_nothing():
+    y, x = np.mgrid[60.0:0.0:-1.0, 0.0:60.0]
+    hill = jm.heightmap(0.25 * (0.5 * x + math.sqrt(0.75) * y), resolution_m=1.0)
+    ends = [(30.0 + side * math.sqrt(0.75), 30.0 - 0.5 * side) for side in (-9.0, 9.0)]  # 120 degrees
+    prices = [
+        jm.costmap(hill, robot={"drivetrain_efficiency": e}, model="physics").feasibility(ends).energy_j
+        for e in (0.6, 0)
+    ]
+    assert prices[0] == pytest.approx(prices[1], rel=1e-4)
+
+
+def test_a_formula_of_the_user_says_what_moving_takes_whatever_the_drivetrain():
+    of_own = [
+        jm.costmap(plane(), robot={"drivetrain_efficiency": e}, model=lambda along, *_: 300.0 + 200.0 * along).lattice
+        for e in (0.5, 0.0)
+    ]
+    np.testing.assert_array_equal(*(lattice.traction_per_m for lattice in of_own))
 
 
 def test_the_shipped_network_knows_gears_of_80_per_cent():

@@ -89,6 +89,24 @@ def test_a_passage_between_two_columns_of_centres_is_found():
     assert plan.route.length_m < 17.0  # and not around the wall, 68 m
 
 
+def test_of_two_narrow_ways_the_shorter_one_is_taken():
+    """Which of them is narrower, moves over the grid do not say."""
+    drawing = np.full((60, 40), ".")
+    drawing[10:50, :36] = "#"
+    drawing[10:50, 4:6] = "."
+    drawing[10:50, 38:] = "#"
+    drawing[2, 5], drawing[57, 5] = "a", "b"
+    plan = planned("\n".join(map("".join, drawing)), replace(ROVER, tracking_std_m=0.4))
+    assert plan.route.length_m < 60.0  # by the other one it is 110 m
+
+
+def test_the_edge_of_a_map_is_no_closed_ground():
+    lattice, _ = ascii_lattice("\n".join(["." * 40] * 12), robot=replace(ROVER, tracking_std_m=0.5))
+    along = np.array([[0.0, 4.0], [0.2, 30.0]])
+    assert metres_within_margin(lattice, along) == 0.0
+    assert path_energy(driven_prices(lattice, 10.0), along) == pytest.approx(path_price(lattice, along))
+
+
 def test_the_shortest_path_does_not_replace_one_that_keeps_the_margin():
     """The same penalty decides between ways in the search and after it."""
     plan = planned(TWO_NARROW, ROVER, alternatives=2)
