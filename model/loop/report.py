@@ -79,7 +79,9 @@ def _base_parameters(found: Calibration) -> list[dict[str, Any]]:
         "energy_of_motion": 1.0,
         "idle_power_w": robot.idle_power_w,
     }
-    rows = _coefficients(found, fitted.base, fitted.base_low, fitted.base_high, declared)
+    coasting = robot.rolling_resistance + fitted.correction.drives.coasting_shift  # what the coefficient is added to
+    known = declared | {"rolling_resistance": coasting}
+    rows = _coefficients(found, fitted.base, fitted.base_low, fitted.base_high, known)
     return [row | {"declared": declared.get(row["name"])} for row in rows]
 
 
