@@ -77,7 +77,7 @@ class RoundTrip:
     order : tuple of int
         (n,) which stop is visited when, home (stop 0) first.
     grid_energy_j : float
-        Energy of the tour over grid moves [J].
+        Energy of the tour over grid moves, without the turns at its stops [J].
     bound_j : float
         Proven lower bound of it over all orders of the stops that were asked for [J].
     notes : tuple of str
@@ -92,7 +92,7 @@ class RoundTrip:
 
     @property
     def energy_j(self) -> float:
-        """Energy [J] of all legs; turning on arrival at a stop is not counted."""
+        """Energy [J] of all legs, with the turns at the stops between them."""
         return sum(leg.energy_j for leg in self.legs)
 
     @property

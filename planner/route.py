@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -196,6 +196,22 @@ def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None 
             f"radius is {least:g} m"
         )
     return route
+
+
+def in_sequence(routes: Sequence[Route], turn_j_per_rad: float) -> tuple[Route, ...]:
+    """Return routes that are driven one after another, each with the turn from the end of the one before [J/rad]."""
+    driven, before = list[Route](), None
+    for route in routes:
+        cut = route.profile
+        moving = np.flatnonzero(np.diff(cut.distance_m, prepend=0.0) > 0.0)
+        if before is not None and moving.size:
+            energy, turn = cut.energy_j.copy(), wrap_angle(cut.heading_rad[moving[0]] - before)
+            energy[moving[0]] += turn_j_per_rad * abs(turn)
+            profile = replace(cut, energy_j=energy, cumulative_j=np.cumsum(energy))
+            route = replace(route, energy_j=route.energy_j + float(turn_j_per_rad * abs(turn)), profile=profile)
+        before = cut.heading_rad[moving[-1]] if moving.size else before
+        driven.append(route)
+    return tuple(driven)
 
 
 def elevation_at(lattice: CostLattice, points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -38,7 +38,7 @@ from joulemap.planner.pricing.polylines import path_length
 from joulemap.planner.questions.alternatives import alternative_paths, improved_ways
 from joulemap.planner.questions.bound import bound_table, energy_bound, quick_bound
 from joulemap.planner.questions.tours import cheapest_tour
-from joulemap.planner.route import Route, price_route
+from joulemap.planner.route import Route, in_sequence, price_route
 
 SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_time_limit)
 
@@ -371,7 +371,7 @@ class RoutePlanner(FieldPlanner):
         )
         ways = self._legs([leg.points for leg in found.paths], refine)
         order = tuple(int(stop) for stop in found.order)
-        legs = tuple(self._route(way, []) for way in ways)
+        legs = in_sequence([self._route(way, []) for way in ways], self.lattice.robot.turn_j_per_rad)
         return RoundTrip(legs, order, found.energy_j, found.bound_j, tuple(notes))
 
     def _legs(self, paths: list[Points], refine: bool) -> list[Points]:

@@ -27,7 +27,7 @@ from joulemap.planner.places import free_places
 from joulemap.planner.pricing.integrator import Points
 from joulemap.planner.pricing.moves import MoveTable
 from joulemap.planner.pricing.potential import parts_of
-from joulemap.planner.route import Route, price_route
+from joulemap.planner.route import Route, in_sequence, price_route
 
 Need = Callable[[Sequence[Route]], float]
 """Returns the energy [J] that a battery must have above its reserve for routes driven one after another."""
@@ -58,7 +58,7 @@ class _Ring:
     """
 
     cells: NDArray[np.float64]
-    ways: list[list[Route]]
+    ways: list[tuple[Route, ...]]
     base_j: NDArray[np.float64]
 
 
@@ -152,7 +152,7 @@ class ReachField:
         taken = cells[_spread(cells, ANCHORS)]
         return _Ring(taken.astype(np.float64), self._improved(taken), self.base_j[tuple(taken.T)])
 
-    def _improved(self, cells: NDArray[np.int64]) -> list[list[Route]]:
+    def _improved(self, cells: NDArray[np.int64]) -> list[tuple[Route, ...]]:
         """The improved routes to some cells, and back from them."""
         fields = [self.out] if self.back is None else [self.out, self.back]
         legs = [(cell, ways) for cell in cells for ways in fields]
@@ -162,7 +162,8 @@ class ReachField:
             return self._route(improved(self.lattice, _way(ways, cell)))
 
         routes = share_out(_improve, legs)
-        return [[routes[k + j] for j in range(len(fields))] for k in range(0, len(legs), len(fields))]
+        turn, each = self.lattice.robot.turn_j_per_rad, len(fields)
+        return [in_sequence(routes[k : k + each], turn) for k in range(0, len(legs), each)]
 
     def _route(self, points: Points) -> Route:
         x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])

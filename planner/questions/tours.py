@@ -52,7 +52,7 @@ def cheapest_tour(
 ) -> Tour:
     """Return the cheapest tour from the first stop over all others.
 
-    What turning on arrival at a stop costs is not counted.
+    What turning at a stop costs is not counted.
 
     `lattice`: prices and limits; `table`: priced moves of the lattice; `stops` (n, 2): fractional (row, col) of 2 to
     `MAX_STOPS` stops; `in_order`: visit them as they are given; `one_way`: end at the last of them and do not come

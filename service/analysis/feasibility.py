@@ -12,7 +12,7 @@ from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.obstacles import reach_m
-from joulemap.planner.route import Route
+from joulemap.planner.route import Route, in_sequence
 from joulemap.planner.verdict.budget import Verdict, judge_course
 from joulemap.planner.verdict.trajectory import course_of
 from joulemap.service.analysis.route_uncertainty import odds_along
@@ -97,9 +97,10 @@ def assess(
             if snap:  # back from where the way there ended, and to where it began
                 there, home = ((float(x), float(y)) for x, y in out.points[[0, -1], :2])
             back = planner.plan(home, there, planner.on_from(out)).route
-    routes, weighed = tuple(route for route in (out, back) if route is not None), None
+    ways, weighed = [route for route in (out, back) if route is not None], None
+    routes = in_sequence(ways, lattice.robot.turn_j_per_rad)
     if path is None and objective is not None and objective.name != MEAN:
-        routes, weighed = best_routes(planner, routes, objective, battery=battery)
+        routes, weighed = best_routes(planner, tuple(ways), objective, battery=battery)
     verdict = judge_routes(lattice, routes, battery)
     return Assessment(verdict, places.noted(routes[0]), routes[1] if round_trip else None, weighed)
 

@@ -16,7 +16,7 @@ from joulemap.planner.objectives.power_limit import within_power
 from joulemap.planner.objectives.risk import Aim, LeastQuantile, MostLikely, Outcome, Priced, least
 from joulemap.planner.objectives.weighing import Weighing
 from joulemap.planner.pricing.integrator import world_points
-from joulemap.planner.route import Route
+from joulemap.planner.route import Route, in_sequence
 from joulemap.planner.route_planner import ANY_ANGLE_NEIGHBOURS, USUAL, RouteOptions, RoutePlanner
 from joulemap.planner.verdict.budget import chance
 from joulemap.planner.verdict.energy_distribution import EnergyOdds
@@ -170,7 +170,7 @@ def best_routes(
 
     def _around(routes: Routes) -> Outcome[Routes]:
         """The best routes, with the tangent at some."""
-        tangent = _Tangent(spread, _sums(routes)[2])
+        tangent = _Tangent(spread, _sums(routes)[2], planner.lattice.robot.turn_j_per_rad)
         weighing = Weighing(planner, spread.correlation_m, per_std_j=tangent.per_std_j)
         return least(aim, partial(_solve, tangent, weighing), worth=_worth)
 
@@ -223,6 +223,7 @@ class _Tangent:
 
     spread: Spread
     std_j: float
+    turn_j_per_rad: float
 
     @property
     def per_std_j(self) -> float:
@@ -230,7 +231,7 @@ class _Tangent:
         return 2.0 * self.spread.run_std_share**2 * self.std_j
 
     def priced(self, routes: Routes, price: float, least_j: float | None) -> Priced[Routes]:
-        """The cheapest routes at a price of the tangent; `least_j`: no others are cheaper, where that is known."""
+        """Routes, cheapest at a price without turns between them; `least_j`: none are cheaper, where that is known."""
         share = self.spread.run_std_share
         mean_j, of_metres, std_j = _sums(routes)
         variance = self.spread.correlation_m * of_metres + (share * std_j) ** 2
@@ -238,7 +239,8 @@ class _Tangent:
             bound_j = mean_j + price * (variance - (share * (std_j - self.std_j)) ** 2)
         else:
             bound_j = least_j - price * (share * self.std_j) ** 2
-        return Priced(routes, mean_j, variance, bound_j)
+        driven = in_sequence(routes, self.turn_j_per_rad)
+        return Priced(driven, sum(route.energy_j for route in driven), variance, bound_j)
 
 
 def _sums(routes: Routes) -> tuple[float, float, float]:

@@ -16,7 +16,7 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice.folder import save_lattice
 from joulemap.planner.lattice.loading import load_lattice
 from joulemap.planner.on_disk.tiled_table import DEFAULT_MEMORY
-from joulemap.planner.route import Route
+from joulemap.planner.route import Route, in_sequence
 from joulemap.planner.route_planner import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.service.analysis.cost_lattices import make_cost_lattice, summarise
@@ -232,13 +232,13 @@ class CostMap(Shown):
                 raise InputError("a tour comes home already: leave out `round_trip`")
             return Feasibility(judge_routes(self.lattice, route.legs, battery), route.legs[0], warnings=warnings)
         if isinstance(route, PlannedRoute):
-            back = None
+            driven = [route.route]
             if round_trip:
                 here, there = ((float(p[0]), float(p[1])) for p in (route.points[0], route.points[-1]))
-                back = self.planner.plan(there, here, self.planner.on_from(route.route)).route
-            driven = [route.route] if back is None else [route.route, back]
-            verdict, volts = judge_routes(self.lattice, driven, battery), self.robot.nominal_voltage_v
-            return Feasibility(verdict, route.route, back, warnings, battery, volts)
+                driven += [self.planner.plan(there, here, self.planner.on_from(route.route)).route]
+            both = in_sequence(driven, self.robot.turn_j_per_rad)
+            verdict, volts = judge_routes(self.lattice, both, battery), self.robot.nominal_voltage_v
+            return Feasibility(verdict, both[0], both[1] if round_trip else None, warnings, battery, volts)
         points = Places(self.lattice.frame).path(list(route))
         judged = assess(self.planner, battery=battery, path=points, round_trip=round_trip)
         ways = judged.route_out, judged.route_back

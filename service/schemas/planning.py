@@ -140,7 +140,7 @@ class FeasibilityOut(VerdictOut):
     length_m: float = Field(description="horizontal length of all routes [m]")
     duration_s: float = Field(description="time for all routes at the robot's speed [s]")
     out: RouteOut
-    back: RouteOut | None = Field(description="the way back; null unless a round trip was asked for")
+    back: RouteOut | None = Field(description="the way back, its first turn included; null unless it was asked for")
     objective: ObjectiveOut | None = Field(
         description="what both ways were chosen by together; null for the least expected energy"
     )
@@ -153,14 +153,14 @@ class FeasibilityOut(VerdictOut):
 
 
 class TourOut(RouteOut):
-    """The tour of least energy. Turning on arrival at a stop is not counted."""
+    """The tour of least energy. The energy of a leg has the turn from the end of the leg before it."""
 
     order: list[int] = Field(
         description="numbers of the stops in the order of the visit, 0 first", examples=[[0, 2, 1]]
     )
     profile: list[PieceOut] = Field(repr=False, description="energy and height along the whole tour")
     legs: list[RouteOut] = Field(description="from each stop to the next, and from the last home unless `one_way`")
-    grid_energy_j: float = Field(description="energy of the tour along the grid, before `refine` [J]")
+    grid_energy_j: float = Field(description="energy along the grid, before `refine`, without turns at stops [J]")
     bound_j: float = Field(description="lower bound of the energy of any order along the grid [J]")
     proven: bool = Field(description="whether no other order costs less energy along the grid, or the order was given")
     battery: VerdictOut | None = Field(description="whether the battery lasts; null unless asked for")

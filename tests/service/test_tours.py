@@ -12,6 +12,7 @@ from fastapi.testclient import TestClient
 
 import joulemap as jm
 from joulemap.planner.lattice.loading import load_lattice
+from joulemap.service.analysis.objectives import Objective, best_routes
 from tests.reference.lattices import price_world_path
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST, hill
 from tests.service.test_bad_input import check_problem
@@ -77,6 +78,25 @@ def test_a_tour_in_the_given_order_and_one_that_does_not_return(
     code, said, errors = joulemap("tour", folder / "dem.zarr", "--stop", *(f"{x},{y}" for x, y in here), *options)
     assert code == 0, errors
     assert f"0 -> 1 -> 2 -> 3{'' if one_way else ' -> 0'}" in said
+
+
+def test_legs_that_follow_one_another_are_priced_as_one_path() -> None:
+    flat = jm.heightmap(np.zeros((40, 40)), resolution_m=1.0)
+    costs = jm.costmap(flat, robot=jm.Robot(turn_j_per_rad=100.0))
+    there = (5.0, 5.0), (30.0, 5.0)
+    back = costs.feasibility(costs.plan(*there), round_trip=True), costs.feasibility(there, round_trip=True)
+    whole = costs.feasibility([*there, there[0]])
+    assert [one.energy_j for one in back] == pytest.approx([whole.energy_j] * 2)
+    assert back[0].probability == pytest.approx(whole.probability)
+    stops = [*there, (30.0, 30.0)]
+    tour = costs.tour(stops, in_order=True)
+    path = np.vstack([leg.points for leg in tour.legs])
+    judged = [costs.feasibility(tour).energy_j, costs.feasibility(path).energy_j]
+    assert judged == pytest.approx([tour.energy_j] * 2)
+    means = tuple(costs.plan(a, b).route for a, b in (there, there[::-1]))
+    ways, weighed = best_routes(costs.planner, means, Objective("quantile"))
+    assert sum(way.energy_j for way in ways) == pytest.approx(whole.energy_j, rel=1e-3)
+    assert weighed.mean_quantile_j == pytest.approx(whole.verdict.energy_p95_j, rel=1e-3)
 
 
 def test_tours_that_cannot_be_asked(client: TestClient, costmap_id: str) -> None:
