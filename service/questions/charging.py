@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from joulemap.model.ranges import MAX_CHARGING
-from joulemap.service.questions.parts import Confidence, OnMap, OwnBattery, Snap, battery_of, on_map
+from joulemap.service.questions.parts import UNSURE, Confidence, OnMap, OwnBattery, Snap, battery_of, on_map
 from joulemap.service.schemas.base import Place, Point3, ResponseModel
 from joulemap.service.words import duration_words, energy_words
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:  # they take their time to load
 
 _ROUNDING = 1e-9
 """Share that is charged beside what a way needs, so that rounding does not leave it short."""
-_UNSURE = "the model does not know its uncertainty: what is charged is the expected energy, without a margin"
 
 
 class ChargingRequest(OnMap):
@@ -178,7 +177,7 @@ def ask(
             least_j = max(route.energy_j if sure is None else float(sure.max(initial=0.0)), 0.0)
             need[ends] = least_j * (1.0 + _ROUNDING)
     if wanted.confidence is not None and lattice.std_j is None:
-        notes = [*notes, _UNSURE]
+        notes = [*notes, UNSURE]
     notes = tuple(dict.fromkeys([*asked.places.notes, *notes]))
 
     def _leg(hop: Hop) -> ChargedLeg:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from joulemap.model.ranges import MAX_CHARGING
-from joulemap.service.questions.parts import BatteryIn, Confidence, OnMap, battery_of, on_map
+from joulemap.service.questions.parts import BatteryIn, Confidence, OnMap, battery_of, on_map, unsure_notes
 from joulemap.service.schemas.base import GivenPath, Place, PlaceOut, ResponseModel
 
 if TYPE_CHECKING:  # they take their time to load
@@ -81,7 +81,7 @@ def ask(planner: RoutePlanner, wanted: ReturnRequest) -> Homeward:
     """Find until where a robot may follow the rest of its path and still come home, or reach a place to charge."""
     from joulemap.service.analysis.homeward import homeward
 
-    asked = on_map(planner, wanted)
+    asked, unsure = on_map(planner, wanted), unsure_notes(planner.lattice, wanted)
     places = asked.places
     path = None if wanted.path is None else places.path(wanted.path)
     charging = [places(place, f"charging place {k}") for k, place in enumerate(wanted.charging, 1)]
@@ -97,7 +97,7 @@ def ask(planner: RoutePlanner, wanted: ReturnRequest) -> Homeward:
     ways = [found.home, *found.charging]
     if not any(np.isfinite(way.energy_j) for way in ways):
         raise asked.planner.no_way(places(wanted.position, "position"), places(wanted.home, "home"))
-    return replace(found, notes=(*places.notes, *asked.planner.turning_notes))
+    return replace(found, notes=(*places.notes, *asked.planner.turning_notes, *unsure))
 
 
 def is_quick(planner: RoutePlanner, wanted: ReturnRequest) -> bool:

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from joulemap.model.battery import Battery
+from joulemap.model.errors import InputError
 from joulemap.model.ranges import BATTERY, BATTERY_CURVES, CURVE_POINTS, OBJECTIVES, QUANTILE, Range
 from joulemap.service.questions.given import checked
 from joulemap.service.schemas.base import Areas, GivenPath, InPython, Place, Request, RobotIn, WholeMap, within
 
 if TYPE_CHECKING:  # they take their time to load
     from joulemap.model.robot import Robot
+    from joulemap.planner.lattice import CostLattice
     from joulemap.planner.route_planner import RoutePlanner
     from joulemap.service.analysis.objectives import Objective
     from joulemap.service.places.places import Places
@@ -170,11 +172,27 @@ Confidence = Annotated[
     Field(description="probability with which the battery must last; null where the expected energy decides"),
 ]
 
+UNSURE = "the model does not know its uncertainty: the expected energy decides, without a margin"
+
 
 def battery_of(given: BatteryIn | Mapping[str, Any] | None, robot: Robot) -> Battery:
     """The battery of a question; what is left out is as in the robot's own one, full and without a reserve."""
     values = given.model_dump(exclude_none=True) if isinstance(given, BatteryIn) else given or {}
     return Battery.from_mapping({"capacity_wh": robot.battery_wh, **values})
+
+
+def unsure_notes(lattice: CostLattice, wanted: Any) -> list[str]:
+    """A note where the model gives no odds for the confidence of a question. Raises InputError if that was given."""
+    odds = lattice.std_j is not None and lattice.provenance.get("model", {}).get("spread") is not None
+    if wanted.confidence is None or odds:
+        return []
+    if "confidence" in wanted.model_fields_set:
+        raise InputError(
+            "the model of this cost map does not know its uncertainty, so no confidence can be given: leave it out, or "
+            "use a model that was trained or calibrated on runs",
+            confidence=wanted.confidence,
+        )
+    return [UNSURE]
 
 
 class Asked(NamedTuple):

@@ -10,13 +10,12 @@ from pydantic import Field
 
 from joulemap.model.errors import InputError
 from joulemap.model.ranges import BATTERY, MAX_CHARGES, QUANTILE
-from joulemap.service.questions.parts import OnMap, OwnBattery, Snap, battery_of, on_map
+from joulemap.service.questions.parts import OnMap, OwnBattery, Snap, battery_of, on_map, unsure_notes
 from joulemap.service.schemas.base import Place, ResponseModel, within
 
 if TYPE_CHECKING:  # they take their time to load
     from joulemap.planner.areas.reach import Need
     from joulemap.planner.areas.reach_map import ReachMap
-    from joulemap.planner.lattice import CostLattice
     from joulemap.planner.route import Route
     from joulemap.planner.route_planner import RoutePlanner
 
@@ -85,8 +84,7 @@ def ask(planner: RoutePlanner, wanted: ReachRequest) -> ReachMap:
         raise InputError(f"`charges` has {len(levels)} values; from 1 to {MAX_CHARGES} can be answered at a time")
     batteries = [replace(battery, charge=charge) for charge in levels]
     planner.needs_memory("a map of reach")
-    if wanted.confidence is not None:
-        _check_confidence(planner.lattice, wanted.confidence)
+    unsure_notes(planner.lattice, wanted)
     found, notes = asked.planner.reach(start, round_trip=wanted.round_trip, snap=wanted.snap)
     need = peak_need if wanted.confidence is None else _need_with(wanted.confidence)
     available = tuple(each.available_j for each in batteries)
@@ -117,21 +115,6 @@ def _need_with(confidence: float) -> Need:
         return float(odds.quantile(confidence).max(initial=0.0))
 
     return _need
-
-
-def _check_confidence(lattice: CostLattice, confidence: float) -> None:
-    if confidence not in QUANTILE:
-        raise InputError(
-            f"the confidence is {confidence:g}; it must lie from {QUANTILE.low:g} to {QUANTILE.high:g}, because the "
-            "tails of the distribution of errors are not known",
-            confidence=confidence,
-        )
-    if lattice.std_j is None or lattice.provenance.get("model", {}).get("spread") is None:
-        raise InputError(
-            "the model of this cost map does not know its uncertainty, so no confidence can be given: leave it out, or "
-            "use a model that was trained or calibrated on runs",
-            confidence=confidence,
-        )
 
 
 def answer(found: ReachMap, warnings: list[str]) -> ReachOut:

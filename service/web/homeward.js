@@ -11,7 +11,7 @@ const mark = L.layerGroup().addTo(map);
 function question() {
   const { answer, start, battery, avoid } = now;
   if (!now.turnBack || !answer?.path || answer.tour) return null;
-  return current("answer") ? { route: answer.key, body: { position: start, home: start, battery, avoid } } : undefined;
+  return current("answer") ? { route: answer.key, body: { position: start, home: start, battery, avoid, confidence: 0.95 } } : undefined;
 }
 
 const ask = ({ body }, signal) => sendForOdds(`v1/costmaps/${now.costmap.id}/return`, { ...body, path: now.answer.path.map(([x, y]) => [x, y]) }, { signal });

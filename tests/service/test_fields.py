@@ -246,7 +246,11 @@ def test_help_shows_choices_and_null_is_an_answer(costmap, tmp_path):
     asked = ["return", str(tmp_path / "map.zarr"), "--position", "110,10", "--home", "140,30", "--charge", "0.5"]
     found = runner.invoke(app, [*asked, "--confidence", "null", "--json", str(tmp_path / "found.json")])
     assert found.exit_code == 0, found.output
-    assert json.loads((tmp_path / "found.json").read_text())["home"]["probability"] is None
+    without = json.loads((tmp_path / "found.json").read_text())
+    assert (without["home"]["probability"], without["warnings"]) == (None, [])
+    assert "does not know its uncertainty: the expected energy decides" in runner.invoke(app, asked).output
+    refused = runner.invoke(app, [*asked, "--confidence", "0.9"])
+    assert (refused.exit_code, "no confidence can be given" in " ".join(refused.output.split())) == (3, True)
     wrong = runner.invoke(app, [*asked, "--confidence", "0.2"])
     assert wrong.exit_code == 2
     assert "--confidence: Input should be greater than or equal to 0.5, got 0.2" in wrong.output
