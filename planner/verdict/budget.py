@@ -179,8 +179,10 @@ def judge_course(
         If the battery's cut-off voltage is above every voltage that it has.
     """
     judged, trace = _judged_course(course, battery, nominal_voltage_v, odds)
-    verdict = judged.verdict if trace is None else _under_load(judged, course, trace, known=odds is not None)
-    verdict = replace(verdict, reserve_at=_reserve_at(course, judged.left_j), yes_until_m=_yes_until_m(course, judged))
+    holds = _holds(course, trace, known=odds is not None)
+    verdict = judged.verdict if trace is None else _under_load(judged, course, trace, holds, known=odds is not None)
+    until = _yes_until_m(course, judged, holds)
+    verdict = replace(verdict, reserve_at=_reserve_at(course, judged.left_j), yes_until_m=until)
     return replace(verdict, verdict_text=verdict_in_words(verdict, course))
 
 
@@ -203,7 +205,7 @@ def chance(course: Course, battery: Battery, *, nominal_voltage_v: float, odds: 
         If the battery's cut-off voltage is above every voltage that it has.
     """
     judged, trace = _judged_course(course, battery, nominal_voltage_v, odds)
-    return judged.lasts if trace is None else _lasts_under_load(judged, course, trace, known=odds is not None)
+    return float(_holds(course, trace, known=odds is not None).min(initial=judged.lasts))
 
 
 def _judged_course(
@@ -310,24 +312,26 @@ def _reserve_at(course: Course, left_j: FloatArray) -> Place | None:
     return course.place(piece, max(before, 0.0) / (max(before, 0.0) - after))
 
 
-def _yes_until_m(course: Course, judged: _Judged) -> float | None:
-    unsure = np.flatnonzero(judged.deficit_j > 0.0)
+def _yes_until_m(course: Course, judged: _Judged, holds: FloatArray) -> float | None:
+    unsure = np.flatnonzero((judged.deficit_j > 0.0) | (holds < SURE))
     if judged.left_j[0] < 0.0:
         return 0.0
     return None if unsure.size == 0 else float(np.append(0.0, course.distance_m)[unsure[0]])
 
 
-def _lasts_under_load(judged: _Judged, course: Course, trace: BatteryTrace, *, known: bool) -> float:
-    """The probability that the energy lasts and that every piece stays below the most that the battery can give."""
+def _holds(course: Course, trace: BatteryTrace | None, *, known: bool) -> FloatArray:
+    """The probabilities that the power of each piece is no more than the battery can give, (n,)."""
     energy = course.energy_j
+    if trace is None:
+        return np.ones_like(energy)
     scale = course.std_j if known and course.std_j is not None else UNSEEN_SHARE * np.abs(energy)
     most = np.where(course.duration_s > 0.0, trace.most_power_w * course.duration_s, np.inf)
-    return float(EnergyOdds(energy, scale).lasts(most).min(initial=judged.lasts))
+    return EnergyOdds(energy, scale).lasts(most)
 
 
-def _under_load(judged: _Judged, course: Course, trace: BatteryTrace, *, known: bool) -> Verdict:
+def _under_load(judged: _Judged, course: Course, trace: BatteryTrace, holds: FloatArray, *, known: bool) -> Verdict:
     """The verdict with the voltage under load."""
-    held, lasts = trace.voltage_v[: trace.overload], _lasts_under_load(judged, course, trace, known=known)
+    held, lasts = trace.voltage_v[: trace.overload], float(holds.min(initial=judged.lasts))
     verdict = replace(
         judged.verdict,
         charge_at_end=float(trace.charge[-1]) if trace.charge.size else judged.verdict.charge_at_end,

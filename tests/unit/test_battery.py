@@ -57,6 +57,7 @@ def test_a_load_that_collapses_the_voltage_is_a_no_with_its_place() -> None:
     assert (verdict.feasible, verdict.verdict) == (False, "no")
     assert verdict.overload_at is not None
     assert verdict.overload_at.distance_m == pytest.approx(2.0)
+    assert judge_course(course(10.0, 10.0, 160.0), battery, nominal_voltage_v=24.0).yes_until_m == 2.0
     assert (verdict.overload_w, verdict.most_power_w) == (pytest.approx(80.0), pytest.approx(24.0))
     assert "the 80 W at 2 m are more than the 24 W that the battery can give there" in verdict.verdict_text
     assert "more than the 24 W" in str(verdict)
