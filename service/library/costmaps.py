@@ -373,7 +373,7 @@ class CostMap(Shown):
         Raises
         ------
         InputError
-            If there are too many places to charge, or the map is not in memory.
+            If there are too many places to charge, a confidence is given without odds, or the map is not in memory.
         PointError
             If a place lies outside the map.
         BlockedError
