@@ -16,16 +16,13 @@ from numpy.typing import NDArray
 
 from joulemap.model.runs.headings import Velocity
 from joulemap.model.runs.reckoning import WHEELS
-from joulemap.model.runs.run import Run
+from joulemap.model.runs.run import STOP_S, Run
 from joulemap.model.runs.smoothing import SMOOTHING_S, cuts_corners, position_noise, smooth
 from joulemap.model.runs.table import TURNING
 from joulemap.model.runs.track import integral
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-STOP_S = 2.0
-"""A robot that is stationary for so long stops; a shorter interval is part of its drive. A setting."""
 
 STILL_M = 0.05
 """Within `STOP_S` a stationary robot moves no further, about twice the noise of positions from RTK or lidar. A setting.
@@ -35,8 +32,6 @@ _BRIDGED_LENGTHS = 1.0 / math.tan(math.pi / 8.0)
 # An arc that turns by a quarter leaves its chord c by c / 2 tan(pi / 8). At c = 2.41 lengths this is half a length: the
 # straight line still lies in the patch of the segment.
 _MOST_FIXES = 0.9
-_MEASURED_SHARE = 0.5  # at least so much of a segment is measured: missing rows take no more than the rest
-_ROWS_BRIDGED = 2.5  # intervals between stamps: one missing row makes two, and stamps jitter
 _RIM_M = 0.5  # half the width of a robot of 1 m: turning moves its side so far per radian
 _WHEEL_RADIUS_M = 0.2  # of a wheel whose rate is logged in rad/s, to tell rolling from standing only
 _NOISES = 4.0  # a stationary position wanders by up to so many standard deviations, as in 99.99 % of a normal one
@@ -213,29 +208,13 @@ def stops_of(
     return tuple(found)
 
 
-def rows_missing(t: FloatArray, distance_m: FloatArray, length_m: float = 1.0) -> BoolArray:
-    """Return where so many rows are missing that too little of a segment is measured.
-
-    `t` (n,): stamps [s]; `distance_m` (n - 1,): driven from each to the next [m]. Result (n - 1,): True where more than
-    one row is missing, and the robot drove more than half a segment or had time to stop.
-    """
-    dt = np.diff(t)
-    usual = (
-        float(np.quantile(dt[dt > 0], _MOST_FIXES, method="lower")) if (dt > 0).any() else 0.0
-    )  # a bicycle computer thins rows out
-    far = np.abs(distance_m) > _MEASURED_SHARE * length_m
-    return np.asarray((dt > _ROWS_BRIDGED * usual) & (far | (dt > STOP_S)))
-
-
 def _gaps(run: Run, fixes: NDArray[np.int64], length_m: float) -> tuple[BoolArray, float]:
     """(True where the track breaks between a fix and the next, (k - 1,); metres across them that were driven)."""
     distance = np.hypot(np.diff(run.x[fixes]), np.diff(run.y[fixes]))
     if fixes.size < 2:
         return np.zeros(0, dtype=bool), 0.0
     broke = np.add.reduceat(run.breaks[1 : fixes[-1] + 1], fixes[:-1]) > 0
-    along = np.repeat(distance, np.diff(fixes))  # of the step between fixes in which a row lies
-    rows = slice(fixes[0], fixes[-1] + 1)
-    unmeasured = np.logical_or.reduceat(rows_missing(run.t[rows], along, length_m), fixes[:-1] - fixes[0])
+    unmeasured = np.logical_or.reduceat(run.missing(length_m)[: fixes[-1]], fixes[:-1])
     between = broke | unmeasured | (distance > _BRIDGED_LENGTHS * length_m)
     return between, float(distance[between & ~broke].sum())
 

@@ -29,6 +29,7 @@ class Recognised:
     questions: dict[str, str] = field(default_factory=dict)  # of what is not known, with the option that answers it
     confidence: dict[str, float] = field(default_factory=dict)  # 0 to 1
     notes: list[str] = field(default_factory=list)
+    counted: bool = False  # what is drawn is the rate of a counter
 
     @property
     def taken(self) -> set[str]:
@@ -81,7 +82,8 @@ def candidates_of(target: str, stream: Stream, taken: Collection[str]) -> list[C
 
 def has_partner(each: Candidate, stream: Stream) -> bool:
     """Return whether a column called x has one called y beside it, or the other way round: `Pos_X` and `Pos_Y`."""
-    other = {"x": "y", "y": "x", "easting": "northing", "northing": "easting", "east": "north", "north": "east"}
+    pairs = {"x": "y", "easting": "northing", "east": "north", "ost": "nord", "e": "n", "rechtswert": "hochwert"}
+    other = pairs | {second: first for first, second in pairs.items()}
     plain = re.sub(r" \(\d+\)$", "", each.column)  # the second of a name is no other
     wanted = [other.get(word, word) for word in words_of(plain)]
     return any(words_of(column) == wanted for column in stream.numbers)

@@ -137,7 +137,7 @@ def take_counters(
             numbers[target] = rate
             reading[target] = f"the rate of {reading.pop(counter, counter)}"
             found.confidence[target] = found.confidence.get(counter, 1.0)
-            drawn = True
+            drawn = found.counted = True
         if counter in numbers:
             numbers.pop(counter)
             reading.pop(counter, None)

@@ -28,11 +28,13 @@ def aligned(
     needed = [key for key in (*_NEEDED, *parts) if key in every and (key in numbers or key in parts)]
     needed = [key for key in needed if np.isfinite(every[key]).sum() > 1]
     held = [key for key in needed if key in _HELD or key.startswith("current_")]
-    if _of_changes(t, [every[key] for key in held]):
-        return _filled(numbers, rest, texts, held)
     timed = np.isfinite(t)
     known = {key: np.isfinite(every[key]) & timed for key in needed}
-    if not known or float(np.logical_and.reduce([*known.values()]).mean()) > _SPARSE:
+    all_known = np.logical_and.reduce([timed, *known.values()])
+    alone = any((each != all_known).any() for each in known.values())  # quantities do not change all at once
+    if alone and _of_changes(t, [every[key] for key in held]):
+        return _filled(numbers, rest, texts, held)
+    if not known or float(all_known.mean()) > _SPARSE:
         return numbers, rest, texts
     rows = max(known.values(), key=np.sum)
     at = t[rows]

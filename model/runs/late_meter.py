@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from joulemap.model.runs.arcs import STOP_S
 from joulemap.model.runs.features import Features, FloatArray
+from joulemap.model.runs.run import STOP_S
 
 
 def read_late(rows: Features, energy: FloatArray, lag_s: float) -> FloatArray:

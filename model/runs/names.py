@@ -26,8 +26,8 @@ _WORDS: dict[str, frozenset[str]] = {
         "milliseconds us micros microseconds ns nanoseconds uptime epoch unix utc interval zeit zeitstempel "
         "uhrzeit tiempo tempo tijd horodatage 日時 時刻 時間 时间"
     ),
-    "x": _set("x easting utmx east"),
-    "y": _set("y northing utmy north"),
+    "x": _set("x easting utmx east ost rechtswert"),
+    "y": _set("y northing utmy north nord hochwert"),
     "z": _set("z altitude alt elevation elev elv ele height hohe hoehe altitud altezza hoogte 標高 高度 海拔"),
     "lat": _set("lat latitude breite breitengrad latitud latitudine breedtegraad 緯度 纬度"),
     "lon": _set(
@@ -108,6 +108,7 @@ SIDES: Mapping[str, str] = {
 """Words for a part of the vehicle."""
 _PER_WAY = re.compile(r"(?i)h ?/ ?\d* ?(km|mi|m)\b")  # of an energy: a consumption, and no counter
 _BY_UNIT = ("voltage", "current", "power", "soc")  # of which the unit of a battery's column leaves one
+_UTM = {"e": "easting", "n": "northing"}
 _MEANS = (["avg"], ["average"], ["mean"])
 _WHEEL = _set("wheel wheels")
 _JOINT = _set("joint joints")
@@ -151,6 +152,8 @@ def candidate(target: str, column: str, unit: str = "") -> Candidate | None:
     if unit and said is None and target not in ("t", "lat", "lon") and is_unit(unit):
         return None
     words = words_of(stem)
+    if words[-2:-1] == ["utm"]:  # `utm_e`
+        words = [*words[:-1], _UTM.get(words[-1], words[-1])]
     by_unit = bool(in_name) and target in _BY_UNIT and bool(_BATTERY & {*words})  # `bat_mA`, `Battery [%]`
     if in_name is not None and not _WORDS[target] & {*words} and not by_unit:  # `Amps`
         words = words_of(column)

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.ranges import TRACK_M
-from joulemap.model.runs.arcs import rows_missing
 from joulemap.model.runs.reckoning import without_blanks
 from joulemap.model.runs.rolling import rolled_between
-from joulemap.model.runs.run import Run
+from joulemap.model.runs.run import Run, rows_missing
 from joulemap.model.runs.table import SIDES, columns_there
 from joulemap.model.terrain.heightmap import Heightmap
 
@@ -91,7 +90,7 @@ def integrate(
     [rad], clockwise from north and not wrapped.
 
     Each step has the mean speeds of its two ends and is an arc, which is exact at constant speeds. Nothing is driven
-    across missing rows (`joulemap.model.runs.arcs.rows_missing`) and steps back in time.
+    across missing rows (`joulemap.model.runs.run.rows_missing`) and steps back in time.
     """
     dt = np.diff(t)
     dt = np.where((dt > 0) & ~rows_missing(t, rolled_between(t, np.stack([left_mps, right_mps]))), dt, 0.0)

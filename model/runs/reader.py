@@ -65,6 +65,7 @@ from joulemap.model.runs.table import (
     spread,
 )
 from joulemap.model.runs.table_columns import Table
+from joulemap.model.runs.words import count_words
 
 FloatArray = NDArray[np.float64]
 _FAR = 0.5  # positions that only scatter are as near to the one after the next as to the next
@@ -155,7 +156,8 @@ def run_of_table(table: Table, *, name: str, odometry: Odometry | None = None, *
     if odometry is not None:
         with_track(numbers, texts, odometry, name)
     run = run_of(numbers, texts, name=name, signed=table.signed, **options)
-    return replace(run, reading=table.reading, notes=(*table.notes, *run.notes), confidence=table.confidence)
+    notes = (*table.notes, *run.notes, *_of_gaps(run, table.counted))
+    return replace(run, reading=table.reading, notes=notes, confidence=table.confidence, counted=table.counted)
 
 
 def run_of(
@@ -244,6 +246,16 @@ def run_of(
         unknown_s=unknown_s,
         whole_j=whole_j,
     )
+
+
+def _of_gaps(run: Run, counted: bool) -> list[str]:
+    """What is to be known of rows that are missing."""
+    gaps_s = np.diff(run.t)[run.missing()]
+    if not gaps_s.size or run.whole_j is not None:
+        return []
+    drawn = "what was drawn is that of its counter" if counted else "nor what was drawn"
+    gaps = count_words({"gaps": gaps_s.size})
+    return [f"its log has {gaps}, {gaps_s.sum():,.1f} s in all: what was driven there is not counted, {drawn}"]
 
 
 def _alternate(x: FloatArray, y: FloatArray) -> float:

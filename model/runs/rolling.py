@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.runs.arcs import STILL_M, STOP_S, equal_parts, rows_missing, station_at, stops_of
+from joulemap.model.runs.arcs import STILL_M, equal_parts, station_at, stops_of
 from joulemap.model.runs.reckoning import without_blanks
-from joulemap.model.runs.run import Run
+from joulemap.model.runs.run import STOP_S, Run, rows_missing
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.smoothing import smooth
 from joulemap.model.runs.table import SIDES

@@ -13,6 +13,13 @@ from joulemap.model.runs.electric import Currents
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+STOP_S = 2.0
+"""A robot that is stationary for so long stops; a shorter interval is part of its drive. A setting."""
+
+_MOST_STEPS = 0.9
+_MEASURED_SHARE = 0.5  # at least so much of a segment is measured: missing rows take no more than the rest
+_ROWS_BRIDGED = 2.5  # intervals between stamps: one missing row makes two, and stamps jitter
+
 
 @dataclass(frozen=True)
 class Run:
@@ -54,6 +61,8 @@ class Run:
         Time in which what is drawn was not measured, and is interpolated [s].
     whole_j : tuple of float, optional
         Energy of the whole run and its standard deviation [J], where a state of charge is all that was logged.
+    counted : bool
+        Whether what is drawn is the rate of a counter, which goes on where rows are missing.
     confidence : dict of str to float
         By joulemap's column, how sure it is that it was recognised rightly, 0 to 1.
     """
@@ -77,6 +86,7 @@ class Run:
     unknown_s: float = 0.0
     whole_j: tuple[float, float] | None = None
     confidence: dict[str, float] = field(default_factory=dict)
+    counted: bool = False
 
     def __post_init__(self) -> None:
         if self.breaks.size != self.t.size:
@@ -91,7 +101,7 @@ class Run:
         return self.power_w is not None or self.voltage_v is not None or self.whole_j is not None
 
     def energy(self) -> tuple[float, float]:
-        """Return the energy of the whole run.
+        """Return the energy of the whole run, of which gaps of the log are no part unless a counter went on in them.
 
         Returns
         -------
@@ -106,7 +116,28 @@ class Run:
         if self.whole_j is not None:
             return self.whole_j
         power = self.drawn()
-        return float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(self.t))), 0.0
+        steps = 0.5 * (power[1:] + power[:-1]) * np.diff(self.t)
+        return float(np.sum(steps if self.counted else steps[~self.missing()])), 0.0
+
+    def missing(self, length_m: float = 1.0) -> BoolArray:
+        """Return where rows are missing, as of `rows_missing`, by the ways between fixes.
+
+        Parameters
+        ----------
+        length_m : float
+            Of a segment.
+
+        Returns
+        -------
+        ndarray of bool, (n - 1,)
+            True in gaps.
+        """
+        fixes = np.flatnonzero(np.isfinite(self.x) & np.isfinite(self.y))
+        along = np.zeros(len(self) - 1)  # of the step between fixes in which a row lies
+        if fixes.size:
+            ways = np.hypot(np.diff(self.x[fixes]), np.diff(self.y[fixes]))
+            along[fixes[0] : fixes[-1]] = np.repeat(ways, np.diff(fixes))
+        return rows_missing(self.t, along, length_m)
 
     def drawn(self, *, charge: bool = False) -> FloatArray:
         """Return what is drawn from the battery.
@@ -139,3 +170,17 @@ class Run:
         if self.voltage_v is None:
             raise RunsError.of_run(self.name, "no voltage was recorded; ask for charge [A s] instead")
         return self.current_a * self.voltage_v
+
+
+def rows_missing(t: FloatArray, distance_m: FloatArray, length_m: float = 1.0) -> BoolArray:
+    """Return where so many rows are missing that too little of a segment is measured.
+
+    `t` (n,): stamps [s]; `distance_m` (n - 1,): driven from each to the next [m]. Result (n - 1,): True where more than
+    one row is missing, and the robot drove more than half a segment or had time to stop.
+    """
+    dt = np.diff(t)
+    usual = (
+        float(np.quantile(dt[dt > 0], _MOST_STEPS, method="lower")) if (dt > 0).any() else 0.0
+    )  # a bicycle computer thins rows out
+    far = np.abs(distance_m) > _MEASURED_SHARE * length_m
+    return np.asarray((dt > _ROWS_BRIDGED * usual) & (far | (dt > STOP_S)))

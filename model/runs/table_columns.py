@@ -43,6 +43,7 @@ class Table:
     format: str = ""
     notes: tuple[str, ...] = ()
     confidence: dict[str, float] = field(default_factory=dict)  # 0 to 1
+    counted: bool = False  # what is drawn is the rate of a counter
     signed: frozenset[str] = frozenset()  # of SIGNED, those that are said to be positive while the battery discharges
 
 
@@ -129,7 +130,7 @@ def table_of(stream: Stream, mapping: Mapping[str, str], name: str, repairs: dic
                 add_count(repairs, f"unreadable_{target}", stream.unread.get(column, 0))
     kept = {key: share for key, share in found.confidence.items() if key in numbers}
     reading = {key: words for key, words in reading.items() if key in numbers}
-    return Table(numbers, others, reading, "", tuple(found.notes), kept, _signed(chosen, mapping))
+    return Table(numbers, others, reading, "", tuple(found.notes), kept, found.counted, _signed(chosen, mapping))
 
 
 def _signed(chosen: Mapping[str, Source], mapping: Mapping[str, str]) -> frozenset[str]:

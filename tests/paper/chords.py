@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from joulemap.model.frames import heading_of
 from joulemap.model.robot import Robot
-from joulemap.model.runs.arcs import STILL_M, STOP_S
+from joulemap.model.runs.arcs import STILL_M
 from joulemap.model.runs.cutting import CARRIED, segments_of
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.files import read_alike
 from joulemap.model.runs.headings import Velocity, headings
 from joulemap.model.runs.reader import Run, read_run
+from joulemap.model.runs.run import STOP_S
 from joulemap.model.runs.segments import Segments, concatenate_segments, driven_only
 from joulemap.model.runs.smoothing import SMOOTHING_S, position_noise, smooth
 from joulemap.model.runs.table import add_count

@@ -104,6 +104,14 @@ def test_counters_give_power_across_their_new_beginnings():
     as_it_was(read(without("voltage", "current", **{"Watt hours used": energy, "Watt hours charged": 0 * energy})))
 
 
+def test_a_pause_of_the_log_has_no_energy_but_what_a_counter_says():
+    t = T + np.where(np.arange(ROWS) > 200, 3600.0, 0.0)
+    for columns in (PLAIN, without("voltage", "current", energy_Wh=LEFT)):
+        run = read(columns | {"t": t})
+        as_it_was(run)
+        assert run.notes[-1].startswith("its log has 1 gap, 3,600.5 s in all")
+
+
 def test_a_state_of_charge_gives_the_energy_of_a_drive_once_the_capacity_is_told():
     soc = 80.0 - np.round(200.0 * np.linspace(0, 0.1, ROWS)) / 2
     columns = without("voltage", "current", battery_percent=soc)
@@ -503,6 +511,10 @@ def test_a_packed_log_is_unpacked_within_bounds():
         ("speed", "wind_speed", None),
         ("x", "/odom/pose/pose/position/x", LIKELY),
         ("x", "accel_x", None),
+        ("x", "gps_utmE", LIKELY),
+        ("y", "utm_n", LIKELY),
+        ("y", "N", None),
+        ("y", "utm_nord", LIKELY),
         ("t", "timestamp_ms", NAMED),
         ("t", "Time to full", None),
         ("soc", "battery_level", LIKELY),
