@@ -10,6 +10,7 @@ from pathlib import Path
 
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
+from joulemap.model.runs.consistency import check_placed
 from joulemap.model.runs.cutting import CARRIED, cut_segments
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.files import read_alike
@@ -85,6 +86,8 @@ def read_calibration_runs(sites: Sequence[Site], *, currents: Currents = "auto")
     groups = [some for site in sites for some in (site.files, site.baseline_files, site.test_files)]
     readers = [_reader(site) for site in sites for _ in (*site.files, *site.baseline_files, *site.test_files)]
     runs = _read(learned, groups, readers, currents)
+    for site, some in zip((site for site in sites for _ in range(3)), runs, strict=True):
+        check_placed(some if site.placed else ())
     parts = iter(_cut(runs, [_cutter(site) for site in sites for _ in range(3)]))
     read = tuple(SiteSegments(site.ground, *islice(parts, 3)) for site in sites)
     return CalibrationRuns(read, robot, *_counts(runs), placed=all(site.placed for site in sites))

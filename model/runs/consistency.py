@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.fixes import projected
+from joulemap.model.runs.run import Run
 from joulemap.model.runs.segments import Segments
+from joulemap.model.runs.units import quantity_of
 from joulemap.model.terrain.heightmap import Heightmap
 
 _FAR_OFF = 100.0  # thousandfold are milliamperes, millivolts and milliseconds; no robot is a hundredfold its own file
@@ -20,6 +22,26 @@ def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
     """Refuse runs that cannot have been driven on this heightmap by this robot."""
     check_place(segments, heightmap)
     check_units([(segments, robot)])
+
+
+def check_placed(runs: Iterable[Run]) -> None:
+    """Refuse runs on a map of whose positions none was recognised."""
+    for run in runs:
+        if not run.placed:
+            columns = unused_columns(run.extras)
+            first, second = [*columns, "...", "..."][:2]
+            raise RunsError.of_run(
+                run.name,
+                "no position was recognised, and a distance alone lies on no map; unused columns are "
+                f"{', '.join(columns)[:300] or 'none'}. Say which are its positions: `joulemap import {run.name} "
+                f"--map x={first[:60]},y={second[:60]} --out FOLDER` writes the run with them",
+                columns=columns,
+            )
+
+
+def unused_columns(columns: Iterable[str]) -> list[str]:
+    """Return those of the columns of a run that are none of joulemap's."""
+    return [column for column in columns if quantity_of(column) is None]
 
 
 def check_place(segments: Segments, heightmap: Heightmap) -> None:

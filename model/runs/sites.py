@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.consistency import check_place, check_units
+from joulemap.model.runs.consistency import check_place, check_placed, check_units
 from joulemap.model.runs.files import distinct_names, read_segments, same_content
 from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.run import Run
@@ -159,6 +159,7 @@ def read_sites(sites: Sequence[Site], *, charge: bool = False) -> SiteRuns:
                 site.files, site.robot, crs=site.heightmap.frame.crs, charge=charge, length_m=site.length_m
             )
             segments = replace(segments, runs=tuple(mine))
+            check_placed(found if site.placed else ())
             check_place(segments, site.heightmap)
         except RunsError as error:
             if len(sites) == 1:

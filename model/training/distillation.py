@@ -20,7 +20,7 @@ from joulemap.model.energy.prediction import predict_segments
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError, ModelError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.consistency import check_placed, check_runs
 from joulemap.model.runs.files import read_segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import segment_errors, segment_spread
@@ -130,6 +130,7 @@ def distil_on_runs(
     if parent.architecture != STUDENT:
         raise ModelError(f"{start_from} is no {STUDENT} model: a student cannot start from it")
     runs, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
+    check_placed(runs)
     check_runs(segments, heightmap, robot)
     heightmap = heightmap.without_noise
     unseen = [str(name) for name in learned.training.get("held_out_runs", [])]

@@ -114,14 +114,17 @@ def import_logs(
 
 
 def _say(output: Output, one: dict[str, Any]) -> None:
+    from joulemap.model.runs.consistency import unused_columns
     from joulemap.model.runs.words import count_words
 
     unit = "J/m" if one["target"] == "energy_j" else "A s/m"
+    columns = ", ".join(unused_columns(one["columns"]))[:300]
+    by = f", by distance: it has no positions{columns and f' (unused columns: {columns})'}"
     usual = "" if one["per_m"] is None else f" in {one['segments']} segments, median {one['per_m']:.4g} {unit}"
     output.say(f"{one['format']}" + (f" -> {one['out']}" if one["out"] else ""), head=one["name"])
     rows = {
         "rows": f"{one['rows']:,} in {duration_words(one['seconds'])}",
-        "driven": f"{one['metres']:.1f} m{usual}" + ("" if one["placed"] else ", by distance: it has no positions"),
+        "driven": f"{one['metres']:.1f} m{usual}" + ("" if one["placed"] else by),
     }
     if one["energy_j"] is not None:
         rounded = f" (standard deviation {one['energy_std_j']:,.0f} J, by rounding)" if one["energy_std_j"] else ""

@@ -100,6 +100,13 @@ def test_runs_beside_the_map_are_refused_in_words(tmp_path):
         train(files, tmp_path / "model")
     with pytest.raises(RunsError, match="lie off the heightmap: they span"):
         train_on_runs(waves(), ROBOT, files, out=tmp_path / "model", epochs=1)
+    files[1].write_text(files[1].read_text().replace("t,x,y,", "t,distance,pa,"))
+    for read in (
+        lambda: train(files, tmp_path / "model"),
+        lambda: read_calibration_runs([Site(waves(), files, ROBOT)]),
+    ):
+        with pytest.raises(RunsError, match=r"1\.csv: no position was .* are pa\. .* --map x=pa"):
+            read()
 
 
 def test_a_training_cut_off_goes_on_to_the_same_weights_and_never_from_another_start(tmp_path):
