@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from joulemap.model.errors import RunsError, TooLargeError
+from joulemap.model.runs.arcs import arc_track, segment_length
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.logs import read_log
 from joulemap.model.runs.odometry import Odometry
@@ -165,8 +166,8 @@ def _about(run: Run, name: str, limits: RunLimits, asked: RunReading) -> dict[st
             limit_km=limits.km,
         )
     if run.whole_j is not None:
-        segments = None
-        metres = float(np.hypot(np.diff(x), np.diff(y)).sum())
+        track = arc_track(run, segment_length(run))
+        segments, metres = None, track.arc_m[-1] + track.gap_m
     else:
         cut = cut_segments if odometry is None else cut_travel
         segments = cut(run, charge=not run.has_energy)

@@ -254,6 +254,16 @@ def test_a_yaw_of_unknown_zero_takes_turns_out_that_never_happened(tmp_path):
     assert turned[1] < 0.3 < turned[0]
 
 
+def test_a_state_of_charge_has_the_metres_of_a_smoothed_track(tmp_path):
+    k, scatter = np.arange(982), np.random.default_rng(1).normal(0.0, 0.1, (2, 982))
+    rows = np.column_stack([k / 5, 5e5 + 0.16 * k + scatter[0], 4e6 + scatter[1], 90.0 - 0.01 * (k // 10)])
+    np.savetxt(tmp_path / "r.csv", rows, "%.3f", ",", header="t,x,y,soc_percent", comments="")
+    command = ["import", str(tmp_path / "r.csv"), "--map", "capacity_wh=50", "--json", str(tmp_path / "answer.json")]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    answer = json.loads((tmp_path / "answer.json").read_text())
+    assert answer["runs"][0]["metres"] == pytest.approx(0.16 * 981, rel=0.02)
+
+
 def test_a_table_in_memory_outlives_a_service_of_the_same_process(tmp_path, monkeypatch):
     monkeypatch.setattr(run_files, "_folder", cache(run_files._folder.__wrapped__))
     with TestClient(create_app(settings_for(tmp_path))):
