@@ -16,7 +16,7 @@ BoolArray = NDArray[np.bool_]
 STOP_S = 2.0
 """A robot that is stationary for so long stops; a shorter interval is part of its drive. A setting."""
 
-_MOST_STEPS = 0.9
+_MOST_STEPS = 0.9  # a bicycle computer thins rows out
 _MEASURED_SHARE = 0.5  # at least so much of a segment is measured: missing rows take no more than the rest
 _ROWS_BRIDGED = 2.5  # intervals between stamps: one missing row makes two, and stamps jitter
 
@@ -120,18 +120,7 @@ class Run:
         return float(np.sum(steps if self.counted else steps[~self.missing()])), 0.0
 
     def missing(self, length_m: float = 1.0) -> BoolArray:
-        """Return where rows are missing, as of `rows_missing`, by the ways between fixes.
-
-        Parameters
-        ----------
-        length_m : float
-            Of a segment.
-
-        Returns
-        -------
-        ndarray of bool, (n - 1,)
-            True in gaps.
-        """
+        """Return where rows are missing, (n - 1,), as of `rows_missing`, by the ways between fixes."""
         fixes = np.flatnonzero(np.isfinite(self.x) & np.isfinite(self.y))
         along = np.zeros(len(self) - 1)  # of the step between fixes in which a row lies
         if fixes.size:
@@ -179,8 +168,6 @@ def rows_missing(t: FloatArray, distance_m: FloatArray, length_m: float = 1.0) -
     one row is missing, and the robot drove more than half a segment or had time to stop.
     """
     dt = np.diff(t)
-    usual = (
-        float(np.quantile(dt[dt > 0], _MOST_STEPS, method="lower")) if (dt > 0).any() else 0.0
-    )  # a bicycle computer thins rows out
+    usual = float(np.quantile(dt[dt > 0], _MOST_STEPS, method="lower")) if (dt > 0).any() else 0.0
     far = np.abs(distance_m) > _MEASURED_SHARE * length_m
     return np.asarray((dt > _ROWS_BRIDGED * usual) & (far | (dt > STOP_S)))
