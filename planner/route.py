@@ -199,7 +199,20 @@ def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None 
 
 
 def in_sequence(routes: Sequence[Route], turn_j_per_rad: float) -> tuple[Route, ...]:
-    """Return routes that are driven one after another, each with the turn from the end of the one before [J/rad]."""
+    """Return routes that are driven one after another, each with the turn from the end of the one before.
+
+    Parameters
+    ----------
+    routes : sequence of Route
+        In the order of driving.
+    turn_j_per_rad : float
+        Energy of turning on the spot [J/rad].
+
+    Returns
+    -------
+    tuple of Route
+        The same routes; the turn is in the first piece that moves.
+    """
     driven, before = list[Route](), None
     for route in routes:
         cut = route.profile

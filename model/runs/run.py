@@ -120,7 +120,18 @@ class Run:
         return float(np.sum(steps if self.counted else steps[~self.missing()])), 0.0
 
     def missing(self, length_m: float = 1.0) -> BoolArray:
-        """Return where rows are missing, (n - 1,), as of `rows_missing`, by the ways between fixes."""
+        """Return where rows are missing, by the ways between fixes.
+
+        Parameters
+        ----------
+        length_m : float, optional
+            Of a segment [m].
+
+        Returns
+        -------
+        ndarray of bool, (n - 1,)
+            As of `rows_missing`.
+        """
         fixes = np.flatnonzero(np.isfinite(self.x) & np.isfinite(self.y))
         along = np.zeros(len(self) - 1)  # of the step between fixes in which a row lies
         if fixes.size:
@@ -164,8 +175,19 @@ class Run:
 def rows_missing(t: FloatArray, distance_m: FloatArray, length_m: float = 1.0) -> BoolArray:
     """Return where so many rows are missing that too little of a segment is measured.
 
-    `t` (n,): stamps [s]; `distance_m` (n - 1,): driven from each to the next [m]. Result (n - 1,): True where more than
-    one row is missing, and the robot drove more than half a segment or had time to stop.
+    Parameters
+    ----------
+    t : ndarray of float, (n,)
+        Stamps [s].
+    distance_m : ndarray of float, (n - 1,)
+        Driven from each to the next [m].
+    length_m : float, optional
+        Of a segment [m].
+
+    Returns
+    -------
+    ndarray of bool, (n - 1,)
+        True where more than one row is missing, and the robot drove more than half a segment or had time to stop.
     """
     dt = np.diff(t)
     usual = float(np.quantile(dt[dt > 0], _MOST_STEPS, method="lower")) if (dt > 0).any() else 0.0
