@@ -74,6 +74,11 @@ class CalibratedPredictor(Predictor):
             f"plans do not contain the effect {title}: it depends on what only a log records"
             for title in self.correction.only_in_logs
         ]
+        used = {"column:payload", *(key for term in self.correction.planner_terms for key in term.form.covariates)}
+        means = {f"column:{key}": value for key, value in self.correction.conditions.items() if value != 0.0}
+        if means := {key: value for key, value in means.items() if key in used}:
+            said = (f"{quantity_name(key)} {quantity_value(key, value)}" for key, value in means.items())
+            found.append(f"plans are made at the means of the calibration runs: {', '.join(said)}")
         found += self._kinds_unlike(heightmap)
         if self.correction.ranges:
             rows = self._on_map(heightmap, robot)

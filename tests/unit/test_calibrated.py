@@ -235,3 +235,9 @@ def test_a_calibration_that_lacks_something_is_refused(tmp_path, changed, missin
     file.write_text(json.dumps({"version": version, **content}))
     with pytest.raises(ModelError, match=f"a calibration is not complete: {missing}"):
         read_calibrated(tmp_path)
+
+
+def test_plans_say_the_means_of_the_runs_at_which_they_are_made():
+    model = calibrated(EFFECTS["heading"][0], conditions={"payload": 55.4, "temperature": 12.0, "wind_speed": 0.0})
+    assert "plans are made at the means of the calibration runs: payload 55.4 kg" in model.warnings(hill(), ROBOT)
+    assert not calibrated(EFFECTS["heading"][0], conditions={"payload": 0.0}).warnings(hill(), ROBOT)
