@@ -59,23 +59,38 @@ class Region:
 def region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> Region:
     """The region of two places (row, col); raises NoRouteError if the goal cannot be reached.
 
-    Moves over the grid keep to centres, so a passage may be wide enough for a path at any angle that keeps the robot's
-    margin and too narrow for any of them; and of two narrow ways the moves do not say which is narrower. Where ground
-    is closed the cells are therefore also those of paths on which only moves in narrow passages (`MoveTable.narrow`)
-    count as within the margin, and of those on which none does.
+    Where the cheapest path over all moves keeps the robot's margin by itself, the cells are those of such paths. Else
+    they are also those of paths on which moves within the margin count as dearer. Moves keep to centres, so a passage
+    may be wide enough for a path at any angle and too narrow for any of them; hence those of paths on which only moves
+    in narrow passages do (`MoveTable.narrow`), too.
     """
-    region = _region_between(lattice, table, start, goal)
-    if region.cells is None or not region.any_closed or table.near.size == 0:
-        return region
-    for near in (table.narrow, table.near[:0]):
-        other = _region_between(lattice, replace(table, near=near), start, goal)
-        if other.cells is not None:
+    plain = _region_between(lattice, table, table.near[:0], start, goal)
+    if plain.cells is None or not _near_closed(table, plain.grid.points):
+        return plain
+    region = _region_between(lattice, table, table.near, start, goal)
+    for other in (plain, _region_between(lattice, table, table.narrow, start, goal)):
+        if other.cells is not None and region.cells is not None:
             region.cells[other.cells] = True
     return region
 
 
-def _region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> Region:
-    """As `region_between`, with moves within the margin as the table has them."""
+def _near_closed(table: MoveTable, points: Points) -> bool:
+    """Whether a move of a path over the grid, (n, 2) with its ends, is within the margin."""
+    if table.near.size == 0:
+        return False
+    last = np.array(table.surface.shape) - 1
+    cells = np.clip(np.rint(points).astype(np.int64), 0, last) @ np.array([table.surface.shape[1], 1])
+    steps, order = np.diff(cells), np.argsort(table.jump)
+    moves = np.isin(steps, table.jump)  # and not the legs to the first centre and from the last
+    move = order[np.searchsorted(table.jump[order], steps[moves])].astype(np.uint32)
+    return bool((table.near[cells[:-1][moves]] >> move & np.uint32(1)).any())
+
+
+def _region_between(
+    lattice: CostLattice, table: MoveTable, near: NDArray[np.uint32], start: Points, goal: Points
+) -> Region:
+    """As `region_between`, of paths on which some moves count as within the margin, as `MoveTable.near`."""
+    flagged, table = table.near, replace(table, near=near, sampled_j=table.typical_j)
     layers = layer_count(lattice, table)
     seeds, cost = terminals(lattice, table, start, layers, outward=True)
     targets, rest = terminals(lattice, table, goal, layers, outward=False)
@@ -93,7 +108,7 @@ def _region_between(lattice: CostLattice, table: MoveTable, start: Points, goal:
     cells = ahead.trace(table, last)[::-1] // layers
     grid = GridPath(joined_points(lattice, start, cells, goal), float(total), expanded)
     closed = _closed_from(table, np.unique(cells))
-    closed |= table.near.size > 0 and bool(table.near[cells].any())
+    closed |= flagged.size > 0 and bool(flagged[cells].any())
     most = total + margin * abs(total)
     if closed:
         most = total + CLOSED_LAG * root_share * abs(total)

@@ -60,7 +60,7 @@ class MoveTable:
     tiles : Tiles, optional
         What prices the moves when a search reaches them; without it all are there.
     sampled_j : float
-        Mean size of a price of tiles [J].
+        Mean size of a price [J], 0 where a sample is to be taken of the map.
     lead : callable, optional
         Makes the lower bounds of tiles, see `Lead`.
     """
@@ -96,7 +96,7 @@ class MoveTable:
         """Mean size of a price [J], or length, from a sample of the map; 1 where there is none."""
         if self.metric:
             return float(self.length_m.mean())
-        if self.tiles is not None:
+        if self.sampled_j > 0.0:
             return self.sampled_j
         sample = np.abs(self.energy[::EVERY, ::EVERY])
         return float(np.nanmean(sample)) or 1.0 if np.isfinite(sample).any() else 1.0
