@@ -13,6 +13,7 @@ import joulemap
 from joulemap.model.errors import InputError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.words import number_words
+from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.cli import app
 from joulemap.service.library.costmaps import open_costmap
 from joulemap.service.library.heightmaps import read_heightmap
@@ -317,6 +318,39 @@ def test_a_model_that_is_not_confirmed_is_not_proposed(tmp_path):
         assert "Not confirmed: keep the model that you have" in shown(said)
         assert "joulemap costmap" not in said
         assert "joulemap path" not in said
+
+
+def test_a_right_rolling_resistance_is_confirmed_though_a_part_of_the_ground_drags(tmp_path):
+    """30 W, 0.1, and 70 N more on clay; the same law prices level lawn in plans."""
+
+    def height(x, y):
+        return 1.5 * np.sin(x / 9.0) * np.cos(y / 11.0)
+
+    rows, cols = (np.mgrid[0:160, 0:160] + 0.5) / 2.0
+    write_geotiff(tmp_path / "dem.tif", joulemap.heightmap(height(cols, 80.0 - rows), resolution_m=0.5))
+    given = 'name = "r"\nmass_kg = 60.0\nrolling_resistance = 0.1\nidle_power_w = 30.0\nspeed_mps = 0.8\n'
+    (tmp_path / "r.toml").write_text(given)
+    weight_n = Robot.from_toml(tmp_path / "r.toml").weight_n
+    (tmp_path / "runs").mkdir()
+    t = np.arange(0.0, 160.0, 0.5)
+    for k, speed in enumerate([0.5, 0.9, 0.7, 0.6]):
+        heading = 0.4 + 1.6 * k + 1.3 * np.sin(t / (9.0 + 2.0 * k)) + 0.7 * np.sin(t / 23.0)
+        x, y = (40.0 + np.cumsum(speed * 0.5 * f(heading)) - 25.0 * f(heading[0]) for f in (np.sin, np.cos))
+        slope = np.gradient(height(x, y), speed * 0.5)
+        clay = np.sin(x / 5.0) > 0.3
+        power = 30.0 + speed * np.maximum(weight_n * (0.1 + slope) + 70.0 * clay, 0.0)
+        kinds = np.where(clay, "clay", "lawn")
+        lines = [f"{a},{b:.3f},{c:.3f},{d:.2f},{e}" for a, b, c, d, e in zip(t, x, y, power, kinds, strict=True)]
+        (tmp_path / "runs" / f"{k}.csv").write_text("\n".join(["t,x,y,power_w,terrain", *lines]))
+    options = ["--model", "physics", "--heightmap", tmp_path / "dem.tif", "--robot", tmp_path / "r.toml", "--quick"]
+    done = runner.invoke(
+        app, ["calibrate", *map(str, [*options, "--runs", tmp_path / "runs", "--out", tmp_path / "out"])]
+    )
+    assert done.exit_code == 0, done.output
+    rolling = json.loads((tmp_path / "out" / "report.json").read_text())["base_parameters"][0]
+    assert (rolling["name"], rolling["declared"]) == ("rolling_resistance", 0.1)
+    low, high = rolling["ci95"]
+    assert low < 0.1 < high, rolling
 
 
 def test_the_cost_of_the_ground_is_that_of_the_logs(wheels):

@@ -280,10 +280,10 @@ def test_logs_of_lines_through_the_command(tmp_path, shape):
     path.write_text(logs_of_tools.SHAPES[shape], encoding="utf-8", newline="")
     done = CliRunner().invoke(app, ["import", str(path), "--out", str(tmp_path / "out"), "--json", "-"])
     assert done.exit_code == 0, done.output
-    (told,) = json.loads(done.stdout)["runs"]
-    assert told["metres"] == pytest.approx(logs_of_tools.S[-1], rel=0.01)
+    (imported,) = json.loads(done.stdout)["runs"]
+    assert imported["metres"] == pytest.approx(logs_of_tools.S[-1], rel=0.01)
     assert (tmp_path / "out" / "drive.csv").is_file()
-    assert told["energy_j"] == pytest.approx(logs_of_tools.JOULES, rel=0.01)
+    assert imported["energy_j"] == pytest.approx(logs_of_tools.JOULES, rel=0.01)
 
 
 def test_an_archive_lies_where_its_bounds_say_through_the_command_and_over_http(tmp_path, client):

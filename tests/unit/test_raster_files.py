@@ -1,6 +1,7 @@
 """Heightmaps from GeoTIFF and PNG: what is read, and what is refused with which words."""
 
 import re
+import threading
 import warnings
 from pathlib import Path
 
@@ -9,13 +10,17 @@ import pytest
 import rasterio
 from click.testing import CliRunner
 from rasterio.enums import ColorInterp
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 from rasterio.rio.main import main_group
 from rasterio.transform import Affine
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
+from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import Scaling
+from joulemap.model.terrain.formats.gdal import ALONE, opened
+from joulemap.model.terrain.formats.raster_checks import transform_of
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import read_sent
 from joulemap.model.terrain.writers import write_bands_geotiff, write_geotiff
@@ -318,3 +323,23 @@ def test_truncated_pngs_are_refused() -> None:
     for length in (12, 30, 60, len(whole) // 2, len(whole) - 40):
         with pytest.raises(HeightmapError):
             read_heightmap(whole[:length], resolution_m=1.0, scale_m=0.01)
+
+
+def test_reading_a_raster_leaves_the_warnings_of_other_threads_alone() -> None:
+    before = warnings.filters
+    sent = geotiff()
+    with opened(SourceFile(sent, "map.tif", sent[:64]), ALONE, what="a map"):
+        assert warnings.filters is before
+
+    class Placed:
+        """A raster with a place, while another thread opens one without."""
+
+        def read_transform(self) -> tuple[float, ...]:
+            said = NotGeoreferencedWarning("Dataset has no geotransform")
+            other = threading.Thread(target=warnings.warn, args=(said,))
+            other.start()
+            other.join()
+            return UTM.to_gdal()
+
+    assert transform_of(Placed()) == UTM
+    assert warnings.filters is before
