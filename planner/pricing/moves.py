@@ -13,7 +13,8 @@ from joulemap.model.frames import heading_of, wrap_angle
 from joulemap.model.threads import both
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.pricing.integrator import MARGIN_PENALTY, Points
-from joulemap.planner.pricing.move_prices import MovePrices, beside_moves, near_closed
+from joulemap.planner.pricing.margin_moves import beside_moves, near_closed
+from joulemap.planner.pricing.move_prices import MovePrices
 from joulemap.planner.pricing.potential import even_surface, spare_bounds
 from joulemap.planner.pricing.tiles import Fill, Tiles
 

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from joulemap.model.errors import TooLargeError
 from joulemap.model.threads import share_out
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.pricing.move_prices import MovePrices, beside_moves, near_closed
+from joulemap.planner.pricing.margin_moves import beside_moves, near_closed
+from joulemap.planner.pricing.move_prices import MovePrices
 
 TILE_CELLS = 128
 """Side of a tile, a power of two; a fourth of a chunk on disk, so that little is priced in vain."""
