@@ -218,10 +218,11 @@ def in_sequence(routes: Sequence[Route], turn_j_per_rad: float) -> tuple[Route, 
         cut = route.profile
         moving = np.flatnonzero(np.diff(cut.distance_m, prepend=0.0) > 0.0)
         if before is not None and moving.size:
-            energy, turn = cut.energy_j.copy(), wrap_angle(cut.heading_rad[moving[0]] - before)
-            energy[moving[0]] += turn_j_per_rad * abs(turn)
+            turn_j = turn_j_per_rad * abs(float(wrap_angle(cut.heading_rad[moving[0]] - before)))
+            energy = cut.energy_j.copy()
+            energy[moving[0]] += turn_j
             profile = replace(cut, energy_j=energy, cumulative_j=np.cumsum(energy))
-            route = replace(route, energy_j=route.energy_j + float(turn_j_per_rad * abs(turn)), profile=profile)
+            route = replace(route, energy_j=route.energy_j + turn_j, profile=profile)
         before = cut.heading_rad[moving[-1]] if moving.size else before
         driven.append(route)
     return tuple(driven)
